@@ -1,8 +1,9 @@
 """The chain host with worker processes: jobs that do not depend on each other are processed side by side.
 
-Stages accept items here. Jobs of stages that work on single dwells go to workers; what depends on the dwells before is
-processed here. Results are handed on in the order in which the jobs were made, so that the products are those of one
-process. Images and other large arrays stay in memory that all processes share.
+Stages accept items here. Jobs of stages that compress dwells and estimate heights go to workers, those of a strip to
+one of them in their order; what else depends on the dwells before (tracked heights, maps) is processed here. Results
+are handed on in the order in which the jobs were made, so that the products are those of one process. Images and other
+large arrays stay in memory that all processes share.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import gc
 import multiprocessing
 from collections import deque
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from queue import Empty, SimpleQueue
 from threading import Thread
@@ -79,9 +81,9 @@ class SideBySide(Chain):
         """
         stages = {stage.name: stage for stage in self._remote}
         forks = "fork" in multiprocessing.get_all_start_methods()
-        arena = Arena(MEMORY_BYTES) if forks else no_shared_memory()
-        self._sender = Sender(arena)
         try:
+            arena = Arena(MEMORY_BYTES) if forks else no_shared_memory()
+            self._sender = Sender(arena)
             self._starter = Keeper(self._jobs, arena, stages) if forks else Spawned(self._jobs, stages)
             self._workers = [self._starter.started_worker() for _ in range(self._jobs)]
         except (OSError, RuntimeError) as error:
@@ -106,9 +108,10 @@ class SideBySide(Chain):
         Empty bytes stand for its end.
         """
         try:
-            while True:
-                self._arrived.put((worker, worker.pipe.recv_bytes()))
-        except (EOFError, OSError):
+            with suppress(EOFError, OSError):
+                while True:
+                    self._arrived.put((worker, worker.pipe.recv_bytes()))
+        finally:
             self._arrived.put((worker, b""))
 
     def _keep(self, stage: Stage, job: Job) -> None:
@@ -119,7 +122,7 @@ class SideBySide(Chain):
     def _results(self, *, drain: bool) -> Iterator[Made]:
         """Send jobs to workers, process the others here, and yield the results in the order of the jobs."""
         while self._unfinished:
-            if not (self._workers or self._cold or drain):
+            if self._remote and not (self._workers or self._cold or drain):
                 self._start()
             self._send_jobs(drain=drain)
             self._receive()
@@ -161,9 +164,13 @@ class SideBySide(Chain):
         return worker if job.series is None else self._owners.setdefault((stage, job.series), worker)
 
     def _is_crowded(self) -> bool:
-        """True if so many jobs wait for workers that no more are to be made."""
+        """True if so many jobs wait for workers, or so many results for the first job, that no more are to be made."""
         waiting = [self._pending[stage] for stage in self._remote]
-        return any(pending and len(pending) >= _together(pending) for pending in waiting)
+        if any(pending and len(pending) >= _together(pending) for pending in waiting):
+            return True
+        first, job = self._unfinished[0]
+        most = 2 * self._jobs * AHEAD * _together([job])  # twice as many as all workers may have
+        return sum(stage is first for stage, _ in self._unfinished) > most
 
     def _receive(self, *, waits: bool = False) -> None:
         """Read what workers have returned, and wait for one of them if asked to.

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import os
 import signal
+import threading
 from collections.abc import Iterator, Sequence
+from multiprocessing.connection import Connection
 from typing import Any
 
 import numpy as np
@@ -13,7 +15,8 @@ from helpers import refused
 
 from sal_height.engine.stage import DwellKey, Job, Port, Product, Result, Stage, StageSettings
 from sal_height.errors import UserError
-from sal_height.runs.chain.side_by_side import TOGETHER, SideBySide, _together
+from sal_height.runs.chain import side_by_side
+from sal_height.runs.chain.side_by_side import AHEAD, TOGETHER, SideBySide, _together
 from sal_height.workers.sending import BYTES_TOGETHER
 
 SETTINGS = StageSettings()
@@ -122,6 +125,75 @@ def test_workers_that_cannot_be_started_end_the_run(
     with refused(UserError, "cannot be started", "use fewer --jobs"):
         products([(1.0, None), (2.0, None)])
     assert not capfd.readouterr().err
+
+
+def test_memory_that_cannot_be_reserved_ends_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(side_by_side, "MEMORY_BYTES", 1 << 62)
+    with refused(UserError, "cannot be started", "use fewer --jobs"):
+        products([(1.0, None), (2.0, None)])
+
+
+def test_no_worker_starts_where_no_stage_has_jobs_for_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse() -> int:
+        raise BlockingIOError
+
+    monkeypatch.setattr(os, "fork", refuse)
+    with SideBySide([Sums(SETTINGS)], [SETTINGS], 2) as chain:
+        made = [one.result for number in range(3) for one in chain.feed("square", (np.full(1, number), 0))]
+    assert [product.item[0] for product in made if isinstance(product, Product)] == [0, 1, 3]
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+def test_results_that_cannot_be_read_end_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As where there is no memory for them."""
+    read = Connection.recv_bytes
+
+    def read_by_main_thread(pipe: Connection) -> bytes:
+        if threading.current_thread() is not threading.main_thread():
+            raise MemoryError
+        return read(pipe)
+
+    monkeypatch.setattr(Connection, "recv_bytes", read_by_main_thread)
+    with refused(UserError, "A worker process has ended"):
+        products([(1.0, None), (2.0, None)])
+
+
+class OneSlow(Squares):
+    """Squares of which the second waits until it may go on."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.may_go_on, self.let = os.pipe()
+
+    def work(self, job: Job) -> Iterator[Result]:
+        if job.inputs == 1:
+            os.read(self.may_go_on, 1)
+        yield from super().work(job)
+
+
+class Patient(SideBySide):
+    """Lets the slow job go on only when all other workers have nothing left to do."""
+
+    unfinished = 0
+    """Number of jobs without a result then."""
+
+    def _receive(self, *, waits: bool = False) -> None:
+        if waits and not self.unfinished and sum(bool(worker.sent) for worker in self._workers) == 1:
+            self.unfinished = len(self._unfinished)
+            os.write(self.stages[0].let, b"x")  # type: ignore[attr-defined]
+        super()._receive(waits=waits)
+
+
+def test_results_that_wait_for_a_slow_job_are_limited() -> None:
+    """The other worker makes no more of them then, and the order remains."""
+    stage = OneSlow()
+    with Patient([stage], [SETTINGS], 2) as chain:
+        steps = [chain.start(), *(chain.feed("in", (float(number), None)) for number in range(300)), chain.finish()]
+        made = [one.result for step in steps for one in step]
+    assert [product.item[0][0] for product in made if isinstance(product, Product)] == [n**2 for n in range(300)]
+    assert 2 * AHEAD * TOGETHER < chain.unfinished <= 4 * AHEAD * TOGETHER + 1
+    os.close(stage.may_go_on)
+    os.close(stage.let)
 
 
 def test_large_jobs_are_sent_one_by_one() -> None:

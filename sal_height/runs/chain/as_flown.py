@@ -220,7 +220,13 @@ class _Plan:
         """First dwells of a stage after each of its resets and further starts, if it keeps something of dwells."""
         if STAGES[name].is_parallel and not (name == COMPRESSION and self._flown.has_strips):
             return
-        yield from (one.dwell for one in self._flown.losses if (one.node, one.reason) == (name, RESETS))
+        absent = self._lost_before[name].union(self._left_out[name])
+        arriving = [dwell for dwell in self._dwells if dwell not in absent]
+        for one in self._flown.losses:
+            if (one.node, one.reason) == (name, RESETS):
+                since = [dwell for dwell in arriving if dwell.stamp_ns >= one.dwell.stamp_ns]
+                if since:
+                    yield min(since, key=lambda dwell: (dwell != one.dwell, dwell.stamp_ns))
         with_worker = [
             self._dwells[dwell].first_ns
             for (node, dwell), one in self._lost.items()

@@ -25,12 +25,13 @@ def plan(
     given: Iterable[str] = (),
     stages: list[str] = STAGES,
     values: Mapping[str, Any] | None = None,
+    recorded: Iterable[int] = ALL,
     **flown: Any,
 ) -> AsFlown:
-    """The plan of six dwells of which these have heights, each recorded a second after the dwell began."""
+    """The plan of up to six dwells of which these have heights, each recorded a second after the dwell began."""
     times = {f"/{name}/height": {key(n): 10**9 * (n + 1) for n in numbers} for name, numbers in made.items()}
     told_losses = [FlownLoss(node, key(number), reason, f"{reason}.") for node, number, reason in losses]
-    dwells = {key(number): LogTimes(10**9 * number, 10**9 * number + 1) for number in ALL}
+    dwells = {key(number): LogTimes(10**9 * number, 10**9 * number + 1) for number in recorded}
     return as_flown(FlownDwells(times, told_losses, **flown), dwells, stages, values or {}, given)
 
 
@@ -139,6 +140,20 @@ def test_a_node_that_was_reset_begins_with_the_dwell_that_the_bag_names() -> Non
     resets = [(name, 3, RESETS) for name in ("relief_tracker", "ml_height")]
     found = plan({"ml": ALL, "tracked": ALL}, resets)
     assert (left_out(found), found.restarted) == ({}, {"relief_tracker": [key(3)]})
+
+
+@pytest.mark.parametrize(("recorded", "then"), [(but(3), [4]), (but(3, 4), [5]), (range(3), [])])
+def test_a_reset_before_a_dwell_that_the_bag_lacks_is_repeated_before_the_next(
+    recorded: Iterable[int], then: list[int]
+) -> None:
+    found = plan({"ml": ALL, "tracked": ALL}, [("relief_tracker", 3, RESETS)], recorded=recorded)
+    assert found.restarted.get("relief_tracker", []) == [key(number) for number in then]
+
+
+def test_a_reset_before_a_dwell_that_does_not_come_as_far_as_its_node_is_repeated_before_the_next() -> None:
+    losses = [("relief_tracker", 1, RESETS), ("relief_tracker", 1, "overload"), ("relief_tracker", 3, RESETS)]
+    found = plan({"ml": but(3), "tracked": but(1, 3)}, losses, stages=["relief_tracker"])
+    assert found.restarted == {"relief_tracker": [key(2), key(4)]}
 
 
 @pytest.mark.parametrize("has_strips", [False, True])

@@ -21,6 +21,7 @@ class Scheduling:
     """Attributes, in addition to the settings, that scheduled items may change; copy() copies them."""
 
     _settings: Any
+    _is_reset: bool
     _decisions: list[Any]
 
     def __init__(self) -> None:
@@ -65,7 +66,7 @@ class Scheduling:
         if dwell not in self._scheduled:
             yield
             return
-        values = {name: getattr(self, name) for name in ("_settings", *self.changeable)}
+        values = {name: getattr(self, name) for name in ("_settings", "_is_reset", *self.changeable)}
         for name in self.changeable:
             setattr(self, name, copy(values[name]))
         scheduled, decided = self._scheduled[dwell], len(self._decisions)

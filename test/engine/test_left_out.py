@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from driven import Step, accept, drive, finish
 from flown_items import heights_in, small_flight
-from gate import Gated
+from gate import SUPPLIES, Gated
 from same_items import are_same
 
 from sal_height.engine.stage import RESETS, DwellKey, Event, Reset
@@ -85,6 +85,19 @@ def test_a_reset_before_a_dwell_keeps_the_messages_that_wait(gated: Gated) -> No
     gated.feed(0, 2)
     assert sorted(dwell for dwell, *_ in gated.whole) == [0, 1]
     assert not gated.losses
+
+
+def test_a_reset_is_stated_with_its_dwell_though_others_come_while_that_one_waits(gated: Gated) -> None:
+    gated.supply("wait")
+    gated.stage.schedule(gated.key(1), "", Reset())
+    gated.stage.schedule(gated.key(0), SUPPLIES, "supplied")
+    gated.feed(0, 0, 1)
+    gated.feed(1, 0, 1, 2)
+    gated.feed(0, 2)
+    assert [dwell for dwell, *_ in gated.whole] == [0, 1]
+    assert [one for one in gated.decided if isinstance(one, Event) and one.name == RESETS] == [
+        Event(RESETS, gated.key(1))
+    ]
 
 
 def leave_out(dwell: DwellKey) -> Step:

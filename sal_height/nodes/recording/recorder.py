@@ -124,10 +124,10 @@ class Recorder(Role, Node):
         self._reported = False
         self._closed = False
         self._lock = threading.RLock()  # of the bag, which several threads write to
-        self._turn = threading.Lock()  # of the thread that writes what waits
+        self._turn = threading.RLock()  # of a thread that writes what waits: the recorder's, or one that needs it
         self._waiting: deque[_Item] = deque()
         self._guarded_write = guarded(self._write, self._fail)
-        self._put_bytes, self._taken_bytes = 0, 0  # each counted by one thread; their difference waits
+        self._put_bytes, self._taken_bytes = 0, 0  # by the thread that receives, and in turns; their difference waits
         self._arrival, self._ending = threading.Event(), threading.Event()
         self._process_numbers: dict[str, Any] = {}
         """Last values of the fields of the account on processor time and memory."""
@@ -196,11 +196,11 @@ class Recorder(Role, Node):
         self._ending.set()
         self._arrival.set()
         self._worker.join()
-        self._clock_changes.unregister()
         self._giving_back.end()
-        with self._lock:
+        with self._turn, self._lock:  # in the order in which those who write take them
             if self._closed:
                 return
+            self._clock_changes.unregister()
             self._write_waiting()
             for topic, subscription in self._subscribed.items():
                 for cdr, info in _taken(subscription):

@@ -447,6 +447,31 @@ def test_what_was_received_is_written_at_once_on_demand(
     ]
 
 
+def test_a_bag_is_closed_while_somebody_has_what_waits_written(graph: Graph, source: Node, bag: Path) -> None:
+    """Whoever closes it waits for the turn to write first and for the bag then, as all who write."""
+    publisher = source.create_publisher(String, "/note", 10)
+    recorder = start(graph, bag, topics=["/note"])
+    wait_until_matched(graph, publisher)
+    closing = threading.Thread(target=recorder.close_bag, daemon=True)
+    writing = threading.Thread(target=recorder.write_received, daemon=True)
+
+    def is_taken() -> bool:
+        if is_free := recorder._turn.acquire(blocking=False):
+            recorder._turn.release()
+        return not is_free
+
+    with recorder._lock:
+        closing.start()
+        recorder._worker.join(TIMEOUT_S)
+        recorder._put("/note", serialize_message(String()), (1, 1))
+        assert graph.spin_until(is_taken, TIMEOUT_S)
+        writing.start()
+    for thread in (closing, writing):
+        thread.join(TIMEOUT_S)
+        assert not thread.is_alive()
+    assert BagReader(bag).topics["/note"].count == 1
+
+
 def test_the_bag_says_what_became_of_all_messages(
     graph: Graph, source: Node, bag: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

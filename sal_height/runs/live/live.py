@@ -60,12 +60,11 @@ def make_tables(sensor: Sensor, stages: list[str], values: Mapping[str, Mapping[
     """Rehearse for a sensor, so that nodes that are forked later find all tables made and all code loaded."""
     parameters = {name: NODES[name].parameters(**values.get(name, {})) for name in stages}
     for name in stages:
-        stage = STAGES[name](parameters[name])
-        if isinstance(stage, DwellStage):
-            with suppress(UserError):  # its node will say why
+        with suppress(UserError):  # its node will say why
+            if isinstance(stage := STAGES[name](parameters[name]), DwellStage):
                 stage.rehearse_for(sensor, parameters[name])
-    if TRACKER in stages:
-        track(*made_up_heights(np.random.default_rng(0)), PriorEstimate(), parameters[TRACKER])
+            if name == TRACKER:
+                track(*made_up_heights(np.random.default_rng(0)), PriorEstimate(), parameters[name])
 
 
 def core_rate_hz(

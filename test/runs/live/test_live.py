@@ -92,6 +92,15 @@ def test_nodes_of_a_live_run_have_nothing_left_to_rehearse(monkeypatch: pytest.M
     assert not again
 
 
+@pytest.mark.parametrize("broken", ["ml_height", "relief_tracker"])
+def test_it_is_left_to_a_node_to_say_why_it_cannot_start(broken: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> None:
+        raise UserError("Settings contradict each other.")
+
+    monkeypatch.setattr(STAGES[broken], "__init__", refuse)
+    make_tables(load_preset("small").make_sensor(), ["ml_height", "relief_tracker"], {})
+
+
 def test_adjusted_heights_of_a_preset_are_made_if_asked_for(tmp_path: Path) -> None:
     asked = replace(load_preset("small"), dwells=1, estimators=("ml", "adjusted"))
     assert Feed.simulated(asked, 1, tmp_path / "sensor").nodes == ["ml_height", "height_adjuster"]

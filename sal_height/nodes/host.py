@@ -53,7 +53,7 @@ from sal_height.nodes.transport.message_types import has_transforms
 from sal_height.nodes.transport.qos import FRAMES_QOS, INSTRUMENT_QOS, LATCHED_QOS, ODOMETRY_QOS, TF_STATIC_QOS
 from sal_height.nodes.transport.services import Said
 from sal_height.nodes.viewing import VIEWERS
-from sal_height.nodes.worker import ENDED, WorkerNode
+from sal_height.nodes.worker import ENDED, ENDING, WorkerNode
 from sal_height.stage_files import check_written, read_inputs, write_product
 from sal_height.workers.pool import Pool
 from sal_height.workers.processes import cpu_of_thread
@@ -444,7 +444,7 @@ class StageNode(WorkerNode):
         """Have the stage do something that was asked for by hand, after the jobs that wait."""
         with self._deciding:
             if self._ended:
-                return False, "the node is ending"
+                return ENDING
             jobs = self._own_jobs(self._asked(lambda: self.stage.command(name)))
             return self.promise(lambda: self._answer_of(jobs))
 

@@ -5,7 +5,10 @@ from __future__ import annotations
 import threading
 from collections import deque
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future
 from typing import Any, Literal, NamedTuple
+
+from sal_height.nodes.transport.services import Said
 
 QueuePolicy = Literal["oldest", "newest"]
 """Job that is dropped when there are too many: the one that waits longest, or the one that arrives."""
@@ -20,6 +23,7 @@ class QueuedJob(NamedTuple):
         size: size of these messages, bytes.
         item: data that is worked on, for work that looks ahead and for workers.
         complete_s: time at which its dwell was complete, s of the monotonic clock.
+        answer: answer of a service that is sent once the work is done; None: nobody waits for one.
     """
 
     run: Callable[[], int]
@@ -27,6 +31,7 @@ class QueuedJob(NamedTuple):
     size: int = 0
     item: Any = None
     complete_s: float = 0.0
+    answer: Future[Said] | None = None
 
 
 class JobQueue:

@@ -55,6 +55,9 @@ ENDED = Rejected("ended", "The node is ending; waiting and new messages are left
 FAILED: Said = False, "internal error; the log of the node says more"
 """Answer of a service that has failed for a reason that no caller should cause."""
 
+ENDING: Said = False, "the node is ending"
+"""Answer of a service whose work is no longer begun."""
+
 DIAGNOSTICS_PERIOD_S = 0.5
 
 
@@ -219,7 +222,11 @@ class WorkerNode(Role, Managed):
             item: data that is worked on; `waiting` gives it to work that looks ahead.
             complete_s: time at which its dwell was complete, s of the monotonic clock; None: now.
         """
-        if messages:
+        self._put(QueuedJob(work, messages, size, item, self.now_s() if complete_s is None else complete_s))
+
+    def _put(self, queued: QueuedJob) -> None:
+        """Have a job wait for its turn, and leave out those for which there is no room."""
+        if queued.messages:
             self.tally.offer()
         parameters = self.current_parameters()
         capacity, policy = parameters.max_queued_dwells, parameters.queue_policy
@@ -227,10 +234,15 @@ class WorkerNode(Role, Managed):
             f"Processing falls behind: {capacity} dwells (max_queued_dwells) or {parameters.max_memory_mb} MB "
             f"(max_memory_mb) wait already, and the {policy} dwell was dropped (queue_policy)."
         )
-        queued = QueuedJob(work, messages, size, item, self.now_s() if complete_s is None else complete_s)
         for job in self._jobs.put(queued, capacity, parameters.max_memory_bytes, policy):
-            reason = ENDED if self._jobs.closed else Rejected("queue full", full)
+            self._leave_out(job, ENDED if self._jobs.closed else Rejected("queue full", full))
+
+    def _leave_out(self, job: QueuedJob, reason: Rejected) -> None:
+        """Count the messages of a job that will not be done, and answer the service that waits for it."""
+        if job.messages:
             self.reject(job.messages, reason, _dwell_of(job.item))
+        if job.answer:
+            job.answer.set_result(ENDING)
 
     def now_s(self) -> float:
         """Time of the monotonic clock, s."""
@@ -251,7 +263,7 @@ class WorkerNode(Role, Managed):
             self._publish_account()  # the node may be ready now
 
     def promise(self, work: Callable[[], Said]) -> Future[Said]:
-        """Have `work` done on the worker thread, after what waits; the future gets what it returns."""
+        """Have `work` done on the worker thread, after what waits; the future gets what it returns, or `ENDING`."""
         done: Future[Said] = Future()
 
         def run() -> int:
@@ -262,7 +274,7 @@ class WorkerNode(Role, Managed):
                 raise
             return 0
 
-        self.submit(0, run)
+        self._put(QueuedJob(run, 0, complete_s=self.now_s(), answer=done))
         return done
 
     def waiting(self) -> list[Any]:
@@ -456,8 +468,7 @@ class WorkerNode(Role, Managed):
         """Finish the job at hand, drop what still waits, publish the last account, and end the node."""
         self._accounting.end()
         for job in self._jobs.clear():
-            if job.messages:
-                self.reject(job.messages, ENDED, _dwell_of(job.item))
+            self._leave_out(job, ENDED)
         self.finish()
         if waiting := self.tally.account().waiting:
             self.get_logger().error(f"{waiting} messages are not accounted for; please report it.")

@@ -22,7 +22,7 @@ from sal_height.nodes.processing import PROCESSING
 from sal_height.nodes.transport.graph import Graph
 from sal_height.nodes.transport.message_types import subscribe
 from sal_height.nodes.transport.qos import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS
-from sal_height.nodes.worker import WorkerNode
+from sal_height.nodes.worker import ENDING, WorkerNode
 
 TIMEOUT_S = 120.0
 
@@ -93,6 +93,26 @@ def test_an_error_in_a_service_is_answered_and_does_not_end_the_node(
     assert answers == [(False, "internal error; the log of the node says more"), (True, "done")]
     counted = listening.tally.summary()
     assert counted.get("dropped.internal error" if is_long else "ignored.internal error") == (0 if is_long else 1)
+
+
+def test_whoever_waits_for_a_node_that_ends_is_answered(graph: Graph, listening: Listening) -> None:
+    going = threading.Event()
+    listening.serve("~/do", lambda: listening.promise(listening.fail))
+    client = graph.add(Node("asking", context=graph.context)).create_client(Trigger, "/listening/do")
+    assert graph.spin_until(client.service_is_ready, TIMEOUT_S)
+    listening.submit(0, lambda: int(not going.wait(TIMEOUT_S)))
+    answer = client.call_async(Trigger.Request())
+    assert graph.spin_until(lambda: listening.jobs == 2, TIMEOUT_S)
+    graph.nodes.remove(listening)
+    graph.executor.remove_node(listening)
+    ended = threading.Thread(target=listening.destroy_node)
+    ended.start()
+    is_answered = graph.spin_until(answer.done, TIMEOUT_S)
+    going.set()
+    ended.join()
+    assert is_answered
+    assert (answer.result().success, answer.result().message) == ENDING
+    assert listening.promise(listening.fail).result(timeout=0.0) == ENDING
 
 
 def test_an_error_in_a_job_costs_its_messages_only(graph: Graph, listening: Listening) -> None:

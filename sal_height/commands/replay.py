@@ -61,8 +61,8 @@ app = command(
 Clock: TypeAlias = Annotated[
     Literal["lockstep", "paced", "burst"],
     Parameter(
-        help="When messages are played. lockstep: a dwell when the one before is processed. paced: at the times of "
-        "their stamps, with the topic /clock, with use_sim_time in all nodes. burst: as fast as they can be "
+        help="When messages are played. lockstep: a dwell when the one before is processed; paced: at the times of "
+        "their stamps, with the topic /clock; both with use_sim_time in all nodes. burst: as fast as they can be "
         "published; what nodes cannot buffer is dropped and counted.",
     ),
 ]

@@ -24,7 +24,7 @@ ACCOUNTS = {
     PROGRESS: "the counts as numbers, also after every piece of work, made while somebody subscribes",
 }
 
-LEFT_OUT = {LOSSES: "what the node leaves out, one message for each loss"}
+LEFT_OUT = {LOSSES: "what the node leaves out, one message for each loss, and each of its resets"}
 
 LIFE_CYCLE = {"~/change_state": "life cycle, as by ros2 lifecycle; the node publishes it on ~/transition_event"}
 

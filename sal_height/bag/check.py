@@ -6,17 +6,20 @@ import json
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
-from mcap.records import ChunkIndex
+from mcap.data_stream import ReadDataStream
+from mcap.records import Chunk, ChunkIndex, Message
+from mcap.stream_reader import breakup_chunk
 from mcap.writer import MCAP0_MAGIC
 
 from sal_height.bag.check_sensor import RECORD_ALL, Finding, SensorCheck, error, of_refusal, recovery, some, warning
-from sal_height.bag.chunks import messages_of
 from sal_height.bag.described import FRAMES, PARAMETER_EVENTS, sensors_in
 from sal_height.bag.files import (
     ACCOUNT,
+    HEAD,
     PARAMETERS,
     REPEATED_SEQUENCE,
     FileIndex,
@@ -327,9 +330,11 @@ def _messages_of(index: FileIndex, chunk: ChunkIndex) -> list[tuple[int, BagMess
     summary = index.summary
     try:
         with index.path.open("rb") as stream:
-            records = messages_of(stream, chunk)
+            stream.seek(chunk.chunk_start_offset + HEAD.size)
+            body = BytesIO(stream.read(chunk.chunk_length - HEAD.size))
+        records = breakup_chunk(Chunk.read(ReadDataStream(body)), validate_crc=True)
         found = []
-        for record in records:
+        for record in (record for record in records if isinstance(record, Message)):
             channel = summary.channels[record.channel_id]
             type_name = summary.schemas[channel.schema_id].name
             message = BagMessage(channel.topic, type_name, record.data, record.log_time, record.publish_time)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import struct
+import zlib
 from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -13,7 +14,6 @@ from typing import Any, BinaryIO
 
 import numpy as np
 import yaml
-from isal.isal_zlib import crc32
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.reader import SeekingReader
@@ -85,7 +85,7 @@ def check_summary_crc(stream: BinaryIO) -> None:
     crc_end = stream.seek(-_FOOTER_TAIL.size, os.SEEK_END) + 2 * 8
     summary_start, _, crc, _ = _FOOTER_TAIL.unpack(stream.read())
     stream.seek(summary_start)
-    if crc and crc32(stream.read(crc_end - summary_start)) != crc:
+    if crc and zlib.crc32(stream.read(crc_end - summary_start)) != crc:
         raise McapError("the checksum of its index is wrong")
 
 
@@ -120,7 +120,7 @@ def recorded_qos(channel: Channel) -> tuple[Qos, ...]:
 
 def checksum(texts: Mapping[str, str]) -> str:
     """Checksum of custom data, for MCAP has none for metadata records."""
-    return f"{crc32(repr(sorted(texts.items())).encode()):08x}"
+    return f"{zlib.crc32(repr(sorted(texts.items())).encode()):08x}"
 
 
 def custom_data_of(record: str, values: dict[str, str]) -> dict[str, str] | None:

@@ -12,10 +12,10 @@ from typing import Any, BinaryIO, NamedTuple
 
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
+from mcap.reader import SeekingReader
 
 from sal_height import messages
 from sal_height.bag import qos
-from sal_height.bag.chunks import messages_in_order
 from sal_height.bag.files import (
     CHUNK_FIELDS,
     HEAD,
@@ -301,7 +301,7 @@ class BagReader:
         if self._other:
             return (one for one in self._other.messages(topics) if times.first_ns <= one.log_time_ns <= times.last_ns)
         files = zip(self.indexes, self.repeated, strict=True)
-        streams = (_read_messages(index, topics, repeated, times) for index, repeated in files)
+        streams = (_read_messages(index.path, topics, repeated, times) for index, repeated in files)
         return heapq.merge(*streams, key=lambda message: message.log_time_ns)
 
     def frame_parts(self, topic: str) -> list[TimedPart]:
@@ -425,20 +425,18 @@ def _custom_data_of(index: FileIndex) -> dict[str, str]:
 
 
 def _read_messages(
-    index: FileIndex, topics: Collection[str] | None, repeated: Collection[str], times: LogTimes
+    file: Path, topics: Collection[str] | None, repeated: Collection[str], times: LogTimes
 ) -> Iterator[BagMessage]:
     """Messages of a file in order of log time; those in the file before, too, are left out of topics in `repeated`."""
-    schemas, channels = index.summary.schemas, index.summary.channels
-    read = {
-        number: (channel.topic, schemas[channel.schema_id].name, channel.topic in repeated)
-        for number, channel in channels.items()
-        if topics is None or channel.topic in topics
-    }
     try:
-        with index.path.open("rb") as stream:
-            for message in messages_in_order(stream, index.summary, read.keys(), times.first_ns, times.last_ns):
-                topic, type_name, has_repeated = read[message.channel_id]
-                if not (has_repeated and message.sequence == REPEATED_SEQUENCE):
-                    yield BagMessage(topic, type_name, message.data, message.log_time, message.publish_time)
+        with file.open("rb") as stream:
+            reader = SeekingReader(stream, validate_crcs=True)
+            for schema, channel, message in reader.iter_messages(
+                topics, starting_at=times.first_ns, ending_at=times.last_ns
+            ):
+                if channel.topic in repeated and message.sequence == REPEATED_SEQUENCE:
+                    continue
+                if schema is not None:  # always so: `check_encoding` refuses channels without
+                    yield BagMessage(channel.topic, schema.name, message.data, message.log_time, message.publish_time)
     except Exception as error:  # mcap reports damage by any exception of its parser
-        raise damaged(index.path, error) from error
+        raise damaged(file, error) from error

@@ -22,10 +22,10 @@ from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.reader import SeekingReader
 from mcap.records import Channel, Chunk, Header, Message, Metadata, Schema
+from mcap.stream_reader import get_chunk_data_stream
 from mcap.summary import Summary
 from mcap.writer import MCAP0_MAGIC
 
-from sal_height.bag.chunks import unpacked
 from sal_height.bag.files import (
     CHUNK_FIELDS,
     CUSTOM_DATA,
@@ -428,7 +428,8 @@ class _FileCopy:
         if self._has_checksums and not chunk.uncompressed_crc:
             raise ValueError("its checksum is gone")
         self._has_checksums = self._has_checksums or bool(chunk.uncompressed_crc)
-        return unpacked(chunk).data
+        data, size = get_chunk_data_stream(chunk, validate_crc=True)
+        return data.read(size)
 
     def _count_lost(self, span: RecordSpan) -> None:
         """Count the messages of a damaged chunk that a message index after it names."""

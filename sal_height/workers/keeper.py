@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import mmap
 import multiprocessing
@@ -81,6 +82,7 @@ class Keeper:
         self._process.kill()
         self._process.wait(10.0)
         self.starts.close()
+        gc.unfreeze()  # `Forked` has frozen what this process had then
 
 
 def _keep_workers(starts: socket.socket, workers: int, arena: Arena, stages: Mapping[str, Stage]) -> None:

@@ -8,7 +8,6 @@ large arrays stay in memory that all processes share.
 
 from __future__ import annotations
 
-import gc
 import multiprocessing
 from collections import deque
 from collections.abc import Iterator, Sequence
@@ -97,7 +96,6 @@ class SideBySide(Chain):
     ) -> None:
         if self._starter:
             self._starter.close()
-            gc.unfreeze()  # `Forked` has frozen what this process had then
         for reader, worker in zip(self._readers, self._workers, strict=True):
             reader.join()
             worker.pipe.close()

@@ -7,7 +7,7 @@ import signal
 import threading
 from collections.abc import Iterator, Sequence
 from multiprocessing.connection import Connection
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -23,23 +23,30 @@ SETTINGS = StageSettings()
 IN, SQUARE, SUM = (Port(name, float, name) for name in ("in", "square", "sum"))
 
 
-class Squares(Stage):
+class FromPortToPort(Stage):
+    """A stage that accepts what arrives on one port, and makes products for another one."""
+
+    ports: ClassVar[tuple[Port, Port]]
+
+    @classmethod
+    def inputs(cls, settings: Any) -> Sequence[Port]:  # noqa: ARG003
+        return cls.ports[:1]
+
+    @classmethod
+    def outputs(cls, settings: Any) -> Sequence[Port]:  # noqa: ARG003
+        return cls.ports[1:]
+
+
+class Squares(FromPortToPort):
     """Squares numbers, and numbers its jobs of each series; the input -1 has it end its process."""
 
     usual_name = "squares"
+    ports = IN, SQUARE
     is_parallel = True
 
     def __init__(self) -> None:
         super().__init__(SETTINGS)
         self._before: dict[str, int] = {}
-
-    @classmethod
-    def inputs(cls, settings: Any) -> Sequence[Port]:  # noqa: ARG003
-        return [IN]
-
-    @classmethod
-    def outputs(cls, settings: Any) -> Sequence[Port]:  # noqa: ARG003
-        return [SQUARE]
 
     def receive(self, port: str, item: tuple[float, str | None]) -> None:  # noqa: ARG002
         value, series = item
@@ -54,19 +61,12 @@ class Squares(Stage):
         yield Product("square", (np.full(size, job.inputs) ** 2, self._before.get(job.series or ""), os.getpid()))
 
 
-class Sums(Stage):
+class Sums(FromPortToPort):
     """Sums of all squares so far."""
 
     usual_name = "sums"
+    ports = SQUARE, SUM
     total = 0.0
-
-    @classmethod
-    def inputs(cls, settings: Any) -> Sequence[Port]:  # noqa: ARG003
-        return [SQUARE]
-
-    @classmethod
-    def outputs(cls, settings: Any) -> Sequence[Port]:  # noqa: ARG003
-        return [SUM]
 
     def receive(self, port: str, item: Any) -> None:  # noqa: ARG002
         self.add_job(DwellKey("", int(item[0][0]), 0), item, series="sums")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
+import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
@@ -157,6 +158,7 @@ class Inlet:
             )
 
         self._subscribe = subscribe
+        self._changing = threading.Lock()  # while a subscription ends, and another takes its place or none
         self.subscription: Subscription | None = subscribe(QOS_OVERRIDES)
         self.topic = str(self.subscription.topic_name)
         """The topic, with its namespace."""
@@ -174,10 +176,11 @@ class Inlet:
             self.heard_at = time.monotonic()
             accept(item, complete_s)
 
-        self._node.destroy_subscription(self.subscription)
-        self.subscription = None
-        outlet.joined.append(take)
-        self._leave.append(lambda: outlet.joined.remove(take))
+        with self._changing:
+            self._node.destroy_subscription(self.subscription)
+            self.subscription = None
+            outlet.joined.append(take)
+            self._leave.append(lambda: outlet.joined.remove(take))
 
     def _note(self, info: Mapping[str, Any]) -> None:
         """Count a message that arrives, and those before it that have not."""
@@ -215,7 +218,8 @@ class Inlet:
     @property
     def publishers(self) -> int:
         """Number of publishers from which messages or items arrive."""
-        return len(self._leave) if self.subscription is None else int(self.subscription.get_publisher_count())
+        with self._changing:
+            return len(self._leave) if self.subscription is None else int(self.subscription.get_publisher_count())
 
     @property
     def is_connected(self) -> bool:
@@ -273,8 +277,9 @@ class Inlet:
         field, value, name = LESS[policy]
         setattr(self._profile, field, value)
         self._node.get_logger().info(f"{self.topic} is published {name}; it is received so, and messages may get lost.")
-        self._node.destroy_subscription(self.subscription)
-        self.subscription = self._subscribe(None)
+        with self._changing:
+            self._node.destroy_subscription(self.subscription)
+            self.subscription = self._subscribe(None)
 
 
 def _name_of(publisher: TopicEndpointInfo) -> str:

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import threading
+
 import pytest
 from helpers import publisher_of
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.subscription import Subscription
 
 from sal_height.messages.types import KeyValue
 from sal_height.nodes.accounts.account import Account
+from sal_height.nodes.transport.endpoints import Outlet
 from sal_height.nodes.transport.graph import Graph
 from sal_height.nodes.transport.qos import FRAMES_QOS, LATCHED_QOS
 from sal_height.nodes.worker import WorkerNode
@@ -83,3 +87,24 @@ def test_messages_that_the_middleware_has_lost_are_told(graph: Graph) -> None:
     publishers["words"].publish(KeyValue(value="after"))
     assert graph.spin_until(lambda: hearing.heard[-1] == "after", TIMEOUT_S)
     assert Account.of_status(hearing.diagnostics().status[0]).missed == account.missed
+
+
+def test_publishers_are_counted_while_a_subscription_is_replaced(graph: Graph, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The account, which another thread publishes, counts them at any time."""
+    source = graph.add(Node("source", context=graph.context))
+    publisher = publisher_of(source, KeyValue, "words", FRAMES_QOS)
+    hearing = Hearing(graph, FRAMES_QOS)
+    assert graph.spin_until(lambda: hearing.is_ready, TIMEOUT_S)
+    inlet, destroy, counts = hearing._inlets[0], hearing.destroy_subscription, list[int]()
+    thread = threading.Thread(target=lambda: counts.append(inlet.publishers), daemon=True)
+
+    def destroy_while_asked(subscription: Subscription) -> bool:
+        done = destroy(subscription)
+        thread.start()
+        thread.join(0.2)
+        return done
+
+    monkeypatch.setattr(hearing, "destroy_subscription", destroy_while_asked)
+    inlet.join(Outlet(publisher), lambda *_: None)
+    thread.join(TIMEOUT_S)
+    assert counts == [1]

@@ -14,7 +14,7 @@ import pytest
 
 PACKAGE = Path(__file__).parents[1] / "sal_height"
 LAYERS = (
-    ("errors", "renamed", "topics"),
+    ("errors", "renamed", "topics", "doubts"),
     ("numeric", "extras", "io", "settings", "configuration", "tables", "array_files"),
     ("geometry",),
     ("response",),

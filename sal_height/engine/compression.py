@@ -336,8 +336,7 @@ class Compression(DwellStage):
         slc, product = images
         if slc.focus and not slc.focus.trusted:
             yield Notice("autofocus", f"Dwell {number}: {NOT_TRUSTED}", whole.key)
-        if slc.doubt:
-            yield Notice("odometry", f"Dwell {number}: {slc.doubt}", whole.key)
+        yield from (Notice(doubt.name, f"Dwell {number}: {doubt.sentence}", whole.key) for doubt in slc.doubts)
         yield Product(SLC, product)
 
     def _compressor_of(self, sensor: Sensor) -> Compressor:

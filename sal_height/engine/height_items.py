@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from sal_height.doubts import Doubt, FitTest
 from sal_height.elevation import ORDERS, USABLE, Validity, scatterer_count
 from sal_height.engine.geometry_items import FARTHEST, Aperture, check_geometry
-from sal_height.engine.losses import Doubt, FitTest
 from sal_height.engine.provenance import Provenance
 from sal_height.engine.stage import DwellKey, Notice, Port
 from sal_height.errors import Rejected

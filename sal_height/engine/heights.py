@@ -166,6 +166,7 @@ class HeightStage(ImageStage):
             looks=(settings.range_looks, settings.azimuth_looks),
             provenance=images.provenance.derived(self.name, used),
             order=images.order,
+            doubts=images.doubts,
             **packed(field),
         )
         yield Product(f"{self.estimator.name}/height", heights)

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from sal_height.calibration import Calibration
+from sal_height.doubts import Doubt, FitTest
 from sal_height.engine.frame_items import Frame, fault_of_channel
 from sal_height.engine.geometry_items import Aperture, are_equal, check_geometry
-from sal_height.engine.losses import Doubt, FitTest
 from sal_height.engine.provenance import Provenance
 from sal_height.engine.stage import DwellKey
 from sal_height.errors import Rejected
@@ -160,7 +160,7 @@ class Images:
             placement=provenance.placement,
             residual_phase=provenance.residual_phase,
         )
-        return cls(key, frame_id, rounded, place, provenance, **others)  # type: ignore[arg-type]
+        return cls(key, frame_id, rounded, place, provenance, doubts=slc.doubts, **others)  # type: ignore[arg-type]
 
     @classmethod
     def joined(cls, images: Sequence[ChannelImage]) -> Images:

@@ -1,20 +1,15 @@
-"""Dwells and messages that were left out, by stage and reason, and tests of the assumptions behind a product."""
+"""Dwells and messages that were left out, by stage and reason."""
 
 from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
-
-import numpy as np
+from typing import Any
 
 from sal_height.engine.stage import Loss, Notice
 
 WARNED = "warned by "
 """Prefix of the kinds of warnings on dwells that are used all the same."""
-
-ALL_CHANNELS = -1
-"""Value of `channel`: the dwell as a whole."""
 
 
 @dataclass
@@ -90,45 +85,3 @@ class Losses:
     def as_json(self) -> dict[str, Any]:
         """All counts and messages."""
         return vars(self)
-
-
-class Doubt(NamedTuple):
-    """A reason to distrust a product: something that nobody stated, or that the data contradict.
-
-    Attributes:
-        name: short name that does not change from dwell to dwell.
-        sentence: warning that states what is doubtful, by how much, and what to do about it.
-        channel: number of the channel that it concerns; ALL_CHANNELS: the dwell.
-        size: size of what was found; NaN: it has none.
-        unit: unit of the size.
-        p_value: probability of this size or a larger one if nothing is wrong; NaN: not tested.
-    """
-
-    name: str
-    sentence: str
-    channel: int = ALL_CHANNELS
-    size: float = np.nan
-    unit: str = ""
-    p_value: float = np.nan
-
-
-class FitTest(NamedTuple):
-    """A test of the data of a dwell or channel against what was assumed of the sensor.
-
-    Attributes:
-        name: name of what was tested.
-        channel: number of the channel that was tested; ALL_CHANNELS: the dwell.
-        statistic: value of the test.
-        p_value: probability of this statistic or a larger one if the assumptions are true.
-        size: departure that fits best; NaN: not estimated.
-        sigma: standard deviation of `size`.
-        unit: unit of `size` and `sigma`.
-    """
-
-    name: str
-    channel: int = ALL_CHANNELS
-    statistic: float = np.nan
-    p_value: float = np.nan
-    size: float = np.nan
-    sigma: float = np.nan
-    unit: str = ""

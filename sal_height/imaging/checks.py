@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 import scipy.fft
 
+from sal_height.doubts import Doubt
 from sal_height.errors import Rejected
 from sal_height.geometry import ApertureState, Grid, PlatformState, is_finite_covariance
 from sal_height.imaging.pixels import aim_point, line_of_sight
@@ -25,6 +26,11 @@ Pulse intervals may vary by design (staggered pulses), their mean may not; error
 OFF_MIDDLE = 0.1
 """Greatest distance of the Doppler centroid from the middle of the beams without doubt, beamwidths: the uneven ground
 of presets moves it by less than half as much."""
+
+
+def doubts_of_odometry(sentence: str) -> tuple[Doubt, ...]:
+    """The doubt that a message on odometry states; none if it is empty."""
+    return (Doubt("odometry", sentence),) if sentence else ()
 
 
 def check_dwell(history: PhaseHistory, antenna: F64, sensor: Sensor, aperture: ApertureState) -> None:

@@ -192,16 +192,27 @@ def with_known_errors(aperture: ApertureState, sensor: Sensor, settings: Correct
     """The aperture with the residual errors of corrections in its covariance."""
     if not settings.leaves_errors:
         return aperture
-    sight, velocity, forward = line_of_sight(sensor, aperture), aperture.velocity, aperture.forward
-    covariance = np.array(aperture.covariance, dtype=np.float64)
-    covariance[:3, :3] += (
-        settings.lever_arm_sigma_m**2 * np.eye(3)
-        + settings.range_sigma_m**2 * np.outer(sight, sight)
-        + settings.odometry_delay_sigma_s**2 * np.outer(velocity, velocity)
+    errors = _stated_errors(aperture, sensor, settings)
+    return replace(aperture, covariance=aperture.covariance + errors.T @ errors)
+
+
+def _stated_errors(aperture: ApertureState, sensor: Sensor, settings: CorrectionSettings) -> F64:
+    """The errors that settings leave, each of one standard deviation and independent of the others.
+
+    Returns:
+        Shift of the antenna (m) and turn of the body about the axes of map (rad) by each, shape (errors, 6).
+    """
+    shifts = np.vstack(
+        [
+            settings.lever_arm_sigma_m * np.eye(3),
+            settings.range_sigma_m * line_of_sight(sensor, aperture),
+            settings.odometry_delay_sigma_s * aperture.velocity,
+        ]
     )
-    covariance[3:, 3:] += settings.boresight_sigma_rad**2 * np.eye(3)
-    covariance[3:, 3:] += settings.elevation_sigma_rad**2 * np.outer(forward, forward)
-    return replace(aperture, covariance=covariance)
+    turns = np.vstack([settings.boresight_sigma_rad * np.eye(3), settings.elevation_sigma_rad * aperture.forward])
+    errors = np.zeros((len(shifts) + len(turns), 6))
+    errors[: len(shifts), :3], errors[len(shifts) :, 3:] = shifts, turns
+    return errors
 
 
 def _air(history: PhaseHistory, track: Trajectory, sensor: Sensor, settings: CorrectionSettings) -> tuple[F64, float]:

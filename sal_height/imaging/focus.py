@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sal_height.doubts import Doubt
 from sal_height.elevation import AxisResponse, CellResponse
 from sal_height.errors import Rejected, UserError
 from sal_height.geometry import ApertureState, Grid, Trajectory
@@ -29,6 +30,7 @@ from sal_height.imaging.checks import (
     check_dwell,
     describe_covariances,
     describe_unverified_squint,
+    doubts_of_odometry,
 )
 from sal_height.imaging.corrections import MEASURED_AIR, CorrectionSettings, with_known_errors
 from sal_height.imaging.formers.choice import FORMERS, choose_former
@@ -112,7 +114,7 @@ class Slc:
         azimuth_window: window over the synthetic aperture, a name of `windows.WINDOWS`.
         range_window: window over the bandwidth, a name of `windows.WINDOWS`.
         focus: result of autofocus; None: not requested.
-        doubt: message on odometry that the data cannot confirm; empty: none.
+        doubts: reasons to distrust the images.
         placement: offset of the image from odometry.
         residual_phase: standard deviation of the phase of each pulse that autofocus leaves, rad.
     """
@@ -125,7 +127,7 @@ class Slc:
     azimuth_window: str = "rectangular"
     range_window: str = "rectangular"
     focus: Focus | None = None
-    doubt: str = ""
+    doubts: tuple[Doubt, ...] = ()
     placement: Placement = AS_NAVIGATED
     residual_phase: float = 0.0
 
@@ -194,14 +196,14 @@ def focus_dwell(history: PhaseHistory, track: Trajectory, sensor: Sensor, settin
     off_middle = check_doppler_centroid(history, antenna, sensor, aperture, grid)
     images = former(history, antenna, sensor, processing, grid)
     noise_power = slc_noise_power(sensor, processing, len(antenna))
-    doubt = describe_unverified_squint(sensor, aperture)
+    doubtful = describe_unverified_squint(sensor, aperture)
     if is_for_speckle(sensor, antenna) and not (focus and focus.finds_beams):
-        doubt = doubt or off_middle
-    doubt = doubt or bad_covariance
+        doubtful = doubtful or off_middle
+    doubts = doubts_of_odometry(doubtful or bad_covariance)
     windows = settings.azimuth_window, settings.range_window
     left = focus.standard_error if focus and focus.trusted else 0.0
     shares = history.shares.max(axis=1)
-    return Slc(images, grid, aperture, noise_power, shares, *windows, focus, doubt, placement, left)
+    return Slc(images, grid, aperture, noise_power, shares, *windows, focus, doubts, placement, left)
 
 
 def _find_beams(

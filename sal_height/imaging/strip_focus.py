@@ -25,6 +25,7 @@ from sal_height.imaging.checks import (
     describe_covariances,
     describe_strip_centroid,
     describe_unverified_squint,
+    doubts_of_odometry,
 )
 from sal_height.imaging.corrections import with_known_errors
 from sal_height.imaging.focus import ImageSettings, Slc, describe_distrust
@@ -113,8 +114,8 @@ class StripFocuser:
         grid = replace(strip.lattice, cols=cols)
         pulses = round(aperture_length(sensor, reference) * len(antenna) / aperture.length)
         slc = _image(strip, grid, mounted, pulses, reference, sensor, settings)
-        doubt, self._doubt = describe_unverified_squint(sensor, aperture) or self._doubt, ""
-        return replace(slc, focus=focus, doubt=doubt)
+        doubtful, self._doubt = describe_unverified_squint(sensor, aperture) or self._doubt, ""
+        return replace(slc, focus=focus, doubts=doubts_of_odometry(doubtful))
 
     def _continued(self, history: PhaseHistory, sensor: Sensor, settings: ImageSettings) -> Strip | None:
         """The strip, if the block is its next and of the same image.

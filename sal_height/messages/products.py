@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
+from sal_height.doubts import Doubt, FitTest
 from sal_height.engine.frames import MAP_FRAME
 from sal_height.engine.geometry_items import Aperture
 from sal_height.engine.height_items import Heights, PackedSurface, packed
 from sal_height.engine.image_items import ChannelImage, Images, Place, check_image
-from sal_height.engine.losses import Doubt, FitTest
 from sal_height.engine.mapper import PlacedRelief
 from sal_height.engine.provenance import Provenance, Same
 from sal_height.engine.stage import DwellKey

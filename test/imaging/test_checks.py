@@ -143,7 +143,7 @@ def test_a_car_that_outshines_the_ground_does_not_move_the_centroid(yaw: float) 
         with refusal("Doppler centroid outside the band", "attitude"):
             focus_dwell(history, track(yaw), flight.spectrum, settings)
         return
-    assert not focus_dwell(history, track(0.0), flight.spectrum, settings).doubt
+    assert not focus_dwell(history, track(0.0), flight.spectrum, settings).doubts
 
 
 def grid_of(sensor: Sensor, cols: int) -> Grid:
@@ -269,11 +269,11 @@ def test_yaw_of_a_tenth_of_a_radian_is_accepted_with_its_doubt() -> None:
     """Its Doppler, 4.6 MHz, is folded into the band of the pulses, here by chance to where the beams look."""
     flight, history = dwell()
     settings = ImageSettings(former="backprojection", rows=4, cols=4)
-    assert focus_dwell(history, track(0.0), flight.spectrum, settings).doubt == ""
+    assert focus_dwell(history, track(0.0), flight.spectrum, settings).doubts == ()
     fold = flight.spectrum.wavelength * flight.spectrum.pulse_repetition_frequency / (2 * SPEED)
     yaw = np.arcsin(round(0.1 * LOOK / fold) * fold / LOOK)
     slc = focus_dwell(history, track(yaw), flight.spectrum, settings)
-    assert_one_sentence(slc.doubt, "abeam", "yaw")
+    assert_one_sentence(slc.doubts[0].sentence, "abeam", "yaw")
 
 
 @pytest.mark.parametrize("name", preset_names())

@@ -217,7 +217,7 @@ def test_a_covariance_that_is_none_is_said() -> None:
     found, refused = images(Impairments(), Stated(speed_sigma=float("nan")))
     assert not refused
     for slc in found:
-        assert_one_sentence(slc.doubt, "twist", "not finite")
+        assert_one_sentence(slc.doubts[0].sentence, "twist", "not finite")
     assert found
 
 

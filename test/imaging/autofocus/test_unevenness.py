@@ -149,4 +149,4 @@ def test_an_edge_of_a_shadow_across_the_flight_is_in_the_covariance_of_the_place
     stated = slc.placement.speed_error * preset.flight.slant_range_m / preset.flight.speed_mps
     assert abs(off) == pytest.approx(off_m, abs=0.01)
     assert stated == pytest.approx(stated_m, abs=0.01)
-    assert not slc.doubt, "what is open is stated"
+    assert not slc.doubts, "what is open is stated"

@@ -167,8 +167,12 @@ class _Pixels:
 
 
 def mosaic(images: Sequence[HeightImage], flight: SimulatedFlight, surfaces: Mapping[int, VisibleSurface]) -> Mosaic:
-    """Combine the height images of one estimator into ground cells, and compare them with the true heights."""
-    parts = [_pixels(image, flight, surfaces[image.dwell]) for image in images]
+    """Combine the height images of one estimator into ground cells, and compare them with the true heights.
+
+    A dwell that a source has repeated is in it once: its errors are the same each time, and no average reduces them.
+    """
+    once = {image.dwell: image for image in reversed(images)}.values()
+    parts = [_pixels(image, flight, surfaces[image.dwell]) for image in once]
     pixels = _Pixels(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(_Pixels)))
     grid = images[0].grid
     looks = images[0].range_looks * images[0].azimuth_looks

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from dataclasses import replace
 from pathlib import Path
 
@@ -195,19 +196,34 @@ def test_cells_of_tracked_heights_are_as_sure_as_one_pixel(flight: SimulatedFlig
     assert counts.max() > 1.5
 
 
+def copied(image: HeightImage, dwell: int) -> HeightImage:
+    """The image as one of another dwell."""
+    other = copy.copy(image)
+    other.dwell = dwell
+    return other
+
+
 def test_what_pose_leaves_is_not_averaged_away(flight: SimulatedFlight) -> None:
-    """The same dwell twice, and an error of 3 cm that all pixels share: half of the own variance, and all of it."""
-    image, dwells = exact_image(flight, 4, 0.0), {4: flight.surface(4)}
-    own = mosaic([image, image], flight, dwells).sigma
+    """Two dwells alike, and an error of 3 cm that all pixels share: half of the own variance, and all of it."""
+    image, dwells = exact_image(flight, 4, 0.0), dict.fromkeys((4, 5), flight.surface(4))
+    own = mosaic([image, copied(image, 5)], flight, dwells).sigma
     first = image.surfaces[0]
     common = np.zeros((len(first.height), 6), np.float32)
     common[:, 5] = np.where(np.isnan(first.height), np.nan, 0.03**2)
     first.common_covariance = to_floats(common)
     first.sigma = to_floats(np.hypot(np.asarray(first.sigma), 0.03))
     seen = np.isfinite(own)
-    together = mosaic([image, image], flight, dwells).sigma
+    together = mosaic([image, copied(image, 5)], flight, dwells).sigma
     np.testing.assert_allclose(together[seen], np.hypot(own[seen], 0.03), rtol=1e-4)
     assert own[seen].max() < 0.0072
+
+
+def test_a_dwell_that_a_source_repeats_is_averaged_once(flight: SimulatedFlight) -> None:
+    image, dwells = exact_image(flight, 4, 0.25), {4: flight.surface(4)}
+    once, twice = (mosaic([image] * count, flight, dwells) for count in (1, 2))
+    np.testing.assert_array_equal(twice.sigma, once.sigma)
+    np.testing.assert_array_equal(twice.bound, once.bound)
+    np.testing.assert_array_equal(twice.error, once.error)
 
 
 def test_a_flight_beside_the_scene_is_refused_at_its_first_dwell(flight: SimulatedFlight) -> None:

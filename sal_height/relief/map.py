@@ -15,7 +15,10 @@ all pixels of a dwell share. No message says how alike these are in different dw
 and beams err in the same way for many. Averaging therefore does not reduce the common part: its sigma is the mean of
 those of the dwells, which is right if they all err alike, and too large otherwise. Nor does it enter a weight: an error
 that all share cancels wherever heights are compared, so that a greater one makes sigma greater and moves no height.
-Sigma is too small if a spatial prior couples neighbouring pixels.
+
+Structure of the ground within a cell is no error that dwells average away: what they see of it is added to sigma as it
+is (`structure`), beyond an offset that a dwell has in all cells. Sigma is too small if a spatial prior couples
+neighbouring pixels.
 """
 
 from __future__ import annotations
@@ -28,11 +31,13 @@ from sal_height.elevation import ORDERS
 from sal_height.errors import Rejected
 from sal_height.geometry import ApertureState, Grid, sphere_coordinates
 from sal_height.numeric import F64, I64, Bool, in_parallel
-from sal_height.relief._kernels import COLUMNS, average_cells, gather_pixels, read_cells, update_cells
+from sal_height.relief._map_kernels import COLUMNS, average_cells, gather_pixels, read_cells, update_cells
 from sal_height.relief.cell_map import TILE, CellMap, Relief, tiles_of
 from sal_height.relief.heights import HeightField, Surface
+from sal_height.relief.layers import LEAST_SHARED
 from sal_height.relief.position_error import STEEPEST
-from sal_height.relief.slope import LEAST_PIXELS, ground_slope
+from sal_height.relief.slope import LEAST_PIXELS, ground_slope, median
+from sal_height.relief.structure import structure_variance
 from sal_height.relief.tracked import ground_spacings
 
 
@@ -64,15 +69,31 @@ class ReliefMap(CellMap):
     def _enter(self, seen: _Cells) -> None:
         """Enter a dwell's mean heights."""
         index = seen.row % TILE * TILE + seen.col % TILE
-        for tile, here in tiles_of(np.stack([seen.row, seen.col], axis=-1)):
+        tiles = list(tiles_of(np.stack([seen.row, seen.col], axis=-1)))
+        before = np.full(len(index), np.nan)
+        for tile, here in tiles:
             if tile not in self._tiles:
                 self._tiles[tile] = np.zeros((TILE * TILE, COLUMNS))
-            update_cells(index[here], seen.height[here], seen.own[here], seen.common[here], self._tiles[tile])
+            else:
+                known = self._tiles[tile][index[here]]
+                before[here] = np.where(known[:, 1] > 0, known[:, 0], np.nan)
+        rise = (seen.height - before)[np.isfinite(before)]
+        offset = median(rise) if len(rise) >= LEAST_SHARED else 0.0
+        for tile, here in tiles:
+            update_cells(
+                index[here],
+                seen.height[here],
+                seen.own[here],
+                seen.structure[here],
+                seen.common[here],
+                offset,
+                self._tiles[tile],
+            )
 
     def _relief(self, corners: I64) -> Relief:
         first, last = corners
-        height, sigma, disagreement = np.full((3, *(last - first + 1)), np.nan, np.float32)
-        count = np.zeros(height.shape, np.uint32)
+        height, variance, disagreement = np.full((3, *(last - first + 1)), np.nan, np.float32)
+        count, misfit = np.zeros(height.shape, np.uint32), np.zeros((*height.shape, 3), np.float32)
         for place, tile in self._tiles.items():
             corner = TILE * np.array(place)
             (south, west), (end_row, end_col) = np.maximum(first, corner), np.minimum(last + 1, corner + TILE)
@@ -81,10 +102,12 @@ class ReliefMap(CellMap):
             read_cells(
                 tile.reshape(TILE, TILE, COLUMNS)[of_tile],
                 height[there],
-                sigma[there],
+                variance[there],
+                misfit[there],
                 disagreement[there],
                 count[there],
             )
+        sigma = np.sqrt(variance + structure_variance(misfit))
         north, east = ((first + 0.5) * self.cell_size).tolist()
         return Relief(east, north, self.cell_size, height, sigma, disagreement, count)
 
@@ -135,6 +158,7 @@ class _Cells:
         col: column of the cell, counted from the map's origin.
         height: height at the centre of the cell, m.
         own: variance of its independent errors, m^2.
+        structure: variance of the heights in the cell, m^2; 0 where these agree within their errors.
         common: standard deviation of the error that it shares with others, m.
     """
 
@@ -142,6 +166,7 @@ class _Cells:
     col: I64
     height: F64
     own: F64
+    structure: F64
     common: F64
 
 
@@ -193,8 +218,8 @@ def _averaged(pixels: _Pixels, cells: I64, corners: I64, cell_size: float) -> _C
 
     The weights are w = 1 / own; own parts add up to sum w^2 own / (sum w)^2, and of the common part, which is one
     error, the mean sigma is taken. Added are the slope's error times the distance of the pixels' mean position from
-    the centre; where slopes are not known, STEEPEST times the pixels' distances; and where the heights in the cell
-    spread by more than 2.5 times their errors, that spread: the cell contains a step.
+    the centre; and where slopes are not known, STEEPEST times the pixels' distances. Where the heights in the cell
+    spread by more than 2.5 times their errors, that spread is structure: the cell contains a step.
 
     Args:
         pixels: heights of a dwell.
@@ -226,4 +251,4 @@ def _averaged(pixels: _Pixels, cells: I64, corners: I64, cell_size: float) -> _C
     _, _, _, height, slope_error, east, north, unmoved, own, own_of_mean, common, spread = sums.T
     moved = slope_error * np.hypot(east, north)
     step = np.where(spread > 2.5**2 * own, spread, 0.0)
-    return _Cells(row, col, height, own_of_mean + moved**2 + unmoved**2 + step, common)
+    return _Cells(row, col, height, own_of_mean + moved**2 + unmoved**2, step, common)

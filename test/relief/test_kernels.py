@@ -8,6 +8,7 @@ import pytest
 from scipy.ndimage import uniform_filter
 
 from sal_height.relief import _kernels as kernels
+from sal_height.relief import _map_kernels as map_kernels
 from sal_height.relief import _tracking_kernels as tracking
 
 Array = npt.NDArray[np.float64]
@@ -234,7 +235,7 @@ def test_means_of_cells() -> None:
     height, error, own, common = rng.standard_normal(200), *rng.uniform(0.1, 1, (3, 200))
     error[rng.uniform(size=200) < 0.3] = np.nan
     sums = np.zeros((count, 12))
-    kernels.average_cells(cell, place, height, slope, error, own, common, centre, steepest, sums)
+    map_kernels.average_cells(cell, place, height, slope, error, own, common, centre, steepest, sums)
     weight = 1 / own
     total = np.bincount(cell, weight)
 
@@ -252,21 +253,33 @@ def test_means_of_cells() -> None:
 
 
 def test_cells_of_a_map() -> None:
-    """Mean, its errors, chi-square and count of measurements that came one after the other."""
+    """Means, their errors, chi-square, misfit and count of measurements that came one after the other."""
     rng = np.random.default_rng(7)
-    height, own, common = rng.standard_normal((9, 5)), *rng.uniform(0.1, 2, (2, 9, 5))
-    cells, weight = np.zeros((8, kernels.COLUMNS)), 1 / own
+    height, own, structure, common = rng.standard_normal((9, 5)), *rng.uniform(0.1, 2, (3, 9, 5))
+    cells, weight = np.zeros((8, map_kernels.COLUMNS)), 1 / (own + structure)
     index = np.array([6, 0, 3, 2, 7])
-    for measured in zip(height, own, common, strict=True):
-        kernels.update_cells(index, *measured, cells)
-    total, of_all = weight.sum(axis=0), 1 / (own + common**2)
+    for measured in zip(height, own, structure, common, strict=True):
+        map_kernels.update_cells(index, *measured, 0.0, cells)
+    total, of_all = weight.sum(axis=0), 1 / (own + structure + common**2)
     mean, mean_of_all = (np.average(height, axis=0, weights=weights) for weights in (weight, of_all))
-    chi_square = np.sum(of_all * (height - mean_of_all) ** 2, axis=0)
-    common_of_mean = np.sum(weight * common, axis=0) / total
-    numbers = mean, total, common_of_mean, mean_of_all, of_all.sum(axis=0), chi_square, np.full(5, 9)
-    expected = np.stack(numbers, axis=-1)
-    np.testing.assert_allclose(cells[index], expected)
+    chi_square, misfit = (
+        np.sum(weights * (height - centre) ** 2, axis=0) for weights, centre in ((of_all, mean_of_all), (weight, mean))
+    )
+    common_of_mean, structure_of_mean = (np.average(values, axis=0, weights=weight) for values in (common, structure))
+    numbers = [mean, total, common_of_mean, mean_of_all, of_all.sum(axis=0), chi_square, np.full(5, 9)]
+    numbers += [misfit, np.sum(weight**2, axis=0), np.sum(weight**2 * own, axis=0), structure_of_mean]
+    np.testing.assert_allclose(cells[index], np.stack(numbers, axis=-1))
     assert not cells[[1, 4, 5]].any()
+
+
+def test_an_offset_of_all_measurements_is_no_misfit() -> None:
+    height, ones = np.arange(4.0), np.ones(4)
+    cells = np.zeros((4, map_kernels.COLUMNS))
+    for offset in (0.0, 0.25):
+        map_kernels.update_cells(np.arange(4), height + offset, ones, 0 * ones, ones, offset, cells)
+    np.testing.assert_allclose(cells[:, 0], height + 0.125)
+    assert not cells[:, 7].any()
+    assert (cells[:, 5] > 0).all()
 
 
 def test_mean_rises_are_those_of_the_joints_around() -> None:

@@ -283,6 +283,35 @@ def test_dwells_that_do_not_agree_show() -> None:
     np.testing.assert_allclose(relief.disagreement, [[0.0, 1 / (np.sqrt(2) * 0.1)]], rtol=1e-6)
 
 
+def test_levels_in_a_cell_are_a_spread_however_many_dwells_there_are() -> None:
+    """Mixtures of two levels, of 0.3 m (rms) where each is known to 1 cm; the cell beside it is level."""
+    rng, dwells = np.random.default_rng(9), 50
+    fields = [
+        field_at([0.5, 9.5], 0.5, [rng.normal(2, 0.3), rng.normal(2, 0.01)], 0.01, KNOWN_POSE) for _ in range(dwells)
+    ]
+    relief = relief_of(*fields)
+    pose = relief_of(fields[0]).sigma[0, [0, -1]]
+    assert relief.sigma[0, 0] == pytest.approx(0.3, rel=4 * np.sqrt(1 / (2 * dwells)))
+    assert relief.sigma[0, -1] <= pose[1]
+
+
+def test_a_step_that_each_dwell_sees_is_a_spread() -> None:
+    """Two pixels of a cell, 1 m apart in height: half of that, of one dwell and of fifty."""
+    both = field_at([0.5, 0.5], 0.5, [2.0, 3.0], 0.01)
+    for dwells in (1, 50):
+        assert relief_of(*[both] * dwells).sigma.item() == pytest.approx(0.5, rel=0.01)
+
+
+def test_an_offset_that_a_dwell_has_in_all_cells_is_no_structure() -> None:
+    rng, cells = np.random.default_rng(10), np.arange(40)
+    dwells = [
+        field_at(cells + 0.5, 0.5, 2 + offset + rng.normal(0, 0.01, len(cells)), 0.01) for offset in rng.normal(0, 1, 9)
+    ]
+    assert np.median(relief_of(*dwells).sigma) == pytest.approx(0.01 / 3, rel=1e-5)
+    few = [field_at(cells[:9] + 0.5, 0.5, 2 + offset, 0.01) for offset in rng.normal(0, 1, 9)]
+    assert np.median(relief_of(*few).sigma) > 0.5, "too few cells to tell an offset from structure"
+
+
 def test_many_dwells_keep_all_digits() -> None:
     """Of 3000 m, 1 cm: chi-square neither cancels nor drifts; its degrees of freedom tell its standard deviation."""
     rng = np.random.default_rng(8)

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from tqdm import tqdm
 
 from sal_height import messages
 from sal_height.beams import Beams
@@ -133,7 +134,7 @@ def judged(images: Sequence[HeightImage], flight: SimulatedFlight, surfaces: Map
     size = float(max(spacing.row_spacing / np.sin(track.look_angle_rad), spacing.col_spacing)) * CELL_PIXELS
     tolerance = float(TOLERANCE_BEAMWIDTHS * across)
     comparisons, seen = [], []
-    for image in images:
+    for image in tqdm(images, desc=f"truth of {images[0].estimator}", unit="image", delay=1, leave=False):
         field, published_as = messages.field_from_message(image), messages.aperture_from_message(image.aperture)
         flown, aperture = as_flown(field, published_as, flight, image.dwell)
         beams = image_beams(sensor, messages.recorded_window(image.provenance, "azimuth"))

@@ -31,6 +31,7 @@ GROUPS = {
     "accuracy-calibration": "calibration_accuracy:left_of_errors",
     "layover": "layover:throughput",
     "honest": "honest:coverage",
+    "honest-maps": "honest_maps:coverage",
     "platform": "imperfect_platform:coverage",
     "adjustment": "adjusting:brought_together",
     "passes": "several_passes:coverage",

@@ -2,9 +2,18 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from sal_height.beams import Beams
-from sal_height.elevation.array.estimate import ElevationEstimate
-from sal_height.elevation.array.likelihood import OBJECTIVES, estimate_of, highest_peaks, highest_peaks_of
+from sal_height.elevation.array.estimate import ElevationEstimate, Validity
+from sal_height.elevation.array.likelihood import (
+    OBJECTIVES,
+    estimate_of,
+    highest_peaks,
+    highest_peaks_of,
+    peak_elevation,
+    search_guard,
+)
 from sal_height.elevation.layover.models import resolve
 from sal_height.elevation.layover.single import LayoverSettings
 from sal_height.elevation.layover.two_channels import in_two_channels
@@ -17,7 +26,8 @@ class MlSettings(LayoverSettings):
 
     objective: str = setting(
         "normalised",
-        "function that is maximised: normalised (exact) or numerator (as published; biased near the ends of the array)",
+        "function that is maximised: normalised (exact) or numerator (as published; biased near the ends of the array, "
+        "and without heights in layover)",
         choices=tuple(OBJECTIVES),
     )
 
@@ -33,12 +43,30 @@ def ml_elevation(looks: Looks, beams: Beams, settings: MlSettings) -> ElevationE
     Raises:
         UserError: a real covariance of complex beams.
     """
-    if settings.objective == "normalised" and settings.layover:
+    estimate = _exact_elevation(looks, beams, settings)
+    return estimate if settings.objective == "normalised" else _by_numerator(estimate, looks, beams)
+
+
+def _exact_elevation(looks: Looks, beams: Beams, settings: MlSettings) -> ElevationEstimate:
+    """Elevations where the likelihood is greatest."""
+    if settings.layover:
         peaks = highest_peaks(looks, beams, settings)
     else:
         # Without layover the gain of one more scatterer is not needed.
-        peaks = highest_peaks_of(OBJECTIVES[settings.objective], looks, beams, settings)
+        peaks = highest_peaks_of(OBJECTIVES["normalised"], looks, beams, settings)
     estimate = estimate_of(peaks, looks, beams, settings)
     if beams.count == 2:
         return in_two_channels(estimate, peaks, looks, beams, settings)
     return resolve(estimate, peaks, looks, beams, settings) if settings.layover else estimate
+
+
+def _by_numerator(exact: ElevationEstimate, looks: Looks, beams: Beams) -> ElevationEstimate:
+    """The elevations that the paper's objective has where there is a single scatterer; elsewhere it has none.
+
+    Their error is that of the exact elevation, and what they differ from it by: sigma contains both.
+    """
+    elevation = peak_elevation(looks, beams, OBJECTIVES["numerator"], search_guard(beams))
+    sigma = np.hypot(exact.sigma, elevation - exact.elevation)
+    several = np.isin(exact.validity, (Validity.TWO_SCATTERERS, Validity.THREE_SCATTERERS, Validity.EXTENDED))
+    validity = np.where(several, Validity.NOT_ONE_SCATTERER, exact.validity).astype(np.uint8)
+    return ElevationEstimate.of_one(elevation, sigma, exact.cnr, validity)

@@ -485,3 +485,32 @@ def test_detectors_far_apart_are_ambiguous_in_their_sidelobes() -> None:
     assert np.mean(ambiguous) > 0.8
     wrong = np.abs(offsets_of(result) - 0.625) > 0.5
     assert np.mean(wrong[ambiguous]) == pytest.approx(0.35, abs=0.05)
+
+
+def test_sigma_of_the_numerator_contains_its_bias() -> None:
+    """At the end of the array it is off by 0.17 beamwidths, however little noise there is."""
+    beams, offset = make_beams("sinc"), 3.75
+    looks = noise_free_looks(beams, np.array([offset, -offset, 0.0]))
+    found, exact = estimate(looks, beams, objective="numerator"), estimate(looks, beams)
+    assert np.all(offset - np.abs(offsets_of(found)[:2]) > 0.15)
+    off = np.abs(found.elevation - exact.elevation)
+    np.testing.assert_allclose(found.sigma, np.hypot(off, exact.sigma))
+    assert np.all(off.ravel()[:2] > 100 * exact.sigma.ravel()[:2])
+    assert off.ravel()[2] < exact.sigma.ravel()[2]
+
+
+def test_the_numerator_has_no_height_in_layover() -> None:
+    """Of two strong scatterers a beamwidth and a half apart; one that stands alone beside them stays."""
+    beams, rng, looks = make_beams("sinc"), np.random.default_rng(11), 16
+    offsets, power = np.array([[-0.75, 0.75], [0.5, 0.5]]), 100.0
+    response = beams.response(elevation_at(offsets), 0.0)  # (pixels, scatterers, detectors)
+    waves = np.sqrt(power / 2) * rng.standard_normal((2, looks, 2, 2)).view(np.complex128)[..., 0]
+    samples = np.einsum("pks,psm->mpk", waves, response)
+    samples = samples + np.sqrt(0.5) * rng.standard_normal((*samples.shape, 2)).view(np.complex128)[..., 0]
+    found = [
+        ml_elevation(multilook(samples, 1, looks), beams, MlSettings(objective=objective))
+        for objective in ("normalised", "numerator")
+    ]
+    assert found[0].validity.ravel().tolist() == [Validity.TWO_SCATTERERS, Validity.OK]
+    assert found[1].validity.ravel().tolist() == [Validity.NOT_ONE_SCATTERER, Validity.OK]
+    assert len(found[1].scatterers) == 1

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from sal_height.beams import Beams
-from sal_height.elevation.array.estimate import ElevationEstimate, Validity
+from sal_height.elevation.array.estimate import ElevationEstimate
 from sal_height.elevation.array.likelihood import (
     OBJECTIVES,
     estimate_of,
@@ -14,7 +14,7 @@ from sal_height.elevation.array.likelihood import (
     peak_elevation,
     search_guard,
 )
-from sal_height.elevation.layover.models import resolve
+from sal_height.elevation.layover.models import resolve, where_single
 from sal_height.elevation.layover.single import LayoverSettings
 from sal_height.elevation.layover.two_channels import in_two_channels
 from sal_height.elevation.looks.looks import Looks
@@ -61,12 +61,9 @@ def _exact_elevation(looks: Looks, beams: Beams, settings: MlSettings) -> Elevat
 
 
 def _by_numerator(exact: ElevationEstimate, looks: Looks, beams: Beams) -> ElevationEstimate:
-    """The elevations that the paper's objective has where there is a single scatterer; elsewhere it has none.
+    """The elevations that the paper's objective has where there is a single surface; elsewhere it has none.
 
     Their error is that of the exact elevation, and what they differ from it by: sigma contains both.
     """
     elevation = peak_elevation(looks, beams, OBJECTIVES["numerator"], search_guard(beams))
-    sigma = np.hypot(exact.sigma, elevation - exact.elevation)
-    several = np.isin(exact.validity, (Validity.TWO_SCATTERERS, Validity.THREE_SCATTERERS, Validity.EXTENDED))
-    validity = np.where(several, Validity.NOT_ONE_SCATTERER, exact.validity).astype(np.uint8)
-    return ElevationEstimate.of_one(elevation, sigma, exact.cnr, validity)
+    return where_single(exact, elevation, np.hypot(exact.sigma, elevation - exact.elevation))

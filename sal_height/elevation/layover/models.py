@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
@@ -62,6 +62,13 @@ def resolve(
     probability[~looks.finite] = np.nan
     widened = estimate.with_sigma(single.sigma(probability, looks))
     return _with_scatterers(widened, models, chosen, here, probability, beams, settings)
+
+
+def where_single(estimate: ElevationEstimate, elevation: F64, sigma: F64) -> ElevationEstimate:
+    """Another elevation and its sigma where the estimate has a single surface, and no height where it has several."""
+    several = np.isin(estimate.validity, (Validity.TWO_SCATTERERS, Validity.THREE_SCATTERERS))
+    validity = np.where(several, Validity.NOT_ONE_SCATTERER, estimate.validity).astype(np.uint8)
+    return ElevationEstimate((replace(estimate.first, elevation=elevation, sigma=sigma),), validity)
 
 
 def _chosen(

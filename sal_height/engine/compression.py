@@ -34,9 +34,9 @@ from sal_height.engine.kept import Kept, RecentValues
 from sal_height.engine.provenance import of_compression
 from sal_height.engine.settings import ChannelSettings, FrameSettings, processing_of
 from sal_height.engine.stage import FOREVER_NS, DwellKey, FileInput, Job, Notice, Port, Product, Result
-from sal_height.engine.track import Arrival, OdometryHistory, longest_gap_s
+from sal_height.engine.track import Arrival, OdometryHistory, OdometrySettings, longest_gap_s
 from sal_height.errors import Rejected, UserError
-from sal_height.geometry import Motion, Mounting, PlatformState, Trajectory
+from sal_height.geometry import Mounting, PlatformState, Trajectory
 from sal_height.imaging import ImageSettings, Slc
 from sal_height.numeric import C64
 from sal_height.pipeline import Compressor
@@ -64,7 +64,7 @@ USED_MOUNTING = "used_mounting"
 NOT_TRUSTED = "autofocus found no phase error that it can trust; the image is focused with the odometry alone."
 
 
-class CompressionSettings(FrameSettings, AirSettings, ImageSettings, ChannelSettings):
+class CompressionSettings(FrameSettings, AirSettings, OdometrySettings, ImageSettings, ChannelSettings):
     """Settings of the images, and the others that the stage needs."""
 
     calibration: str = setting(
@@ -74,50 +74,12 @@ class CompressionSettings(FrameSettings, AirSettings, ImageSettings, ChannelSett
         read_only=True,
         names_file=True,
     )
-    max_odometry_gap_s: float = setting(
-        0.5, "longest time between two odometry samples during a dwell", unit="s", minimum=1e-6, maximum=3600.0
-    )
-    odometry_interval_s: float = setting(
-        0.05,
-        "longest time between two odometry samples that is no gap; in a gap the covariance of the pose grows by what "
-        "the platform may have done meanwhile",
-        unit="s",
-        minimum=1e-6,
-        maximum=3600.0,
-    )
-    acceleration_noise: float = setting(
-        0.1,
-        "acceleration that odometry does not show, for gaps",
-        unit="m/s^2/sqrt(Hz)",
-        minimum=0.0,
-        maximum=1000.0,
-    )
-    turning_noise: float = setting(
-        0.01,
-        "angular acceleration that odometry does not show, for gaps",
-        unit="rad/s^2/sqrt(Hz)",
-        minimum=0.0,
-        maximum=1000.0,
-    )
     mounting_from_tf: bool = setting(
         False,
         "take the place of the sensor on the platform from /tf_static, where frame_id of its mounting is to be found, "
         "and not from sensor_info",
         read_only=True,
     )
-    odometry_buffer_s: float = setting(
-        100.0,
-        "time for which odometry is kept; a dwell must be complete within it",
-        unit="s",
-        minimum=1.0,
-        maximum=86400.0,
-        read_only=True,
-    )
-
-    @property
-    def motion(self) -> Motion:
-        """Motion that is possible in gaps of the odometry."""
-        return Motion(self.acceleration_noise, self.turning_noise, self.odometry_interval_s)
 
 
 class Supplies(NamedTuple):
@@ -367,7 +329,7 @@ class Compression(DwellStage):
                 "rotation": list(supplies.mounting.rotation),
             }
         history, calibration = self._history_of(whole), supplies.calibration
-        track = Trajectory(supplies.states, motion=settings.motion)
+        track = Trajectory(supplies.states, motion=settings.motion, accuracy=settings.accuracy)
         used = settings
         if supplies.air is not None:
             used = settings.changed(air="measured", **supplies.air)

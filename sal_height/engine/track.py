@@ -5,16 +5,26 @@ from __future__ import annotations
 import bisect
 import math
 from array import array
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from enum import Enum
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
 from sal_height.engine.stage import FOREVER_NS
-from sal_height.geometry import GREATEST_POSE, GREATEST_VELOCITY, REORDERED_NS, PlatformState, known_covariance
+from sal_height.geometry import (
+    NOT_STATED,
+    REORDERED_NS,
+    Motion,
+    OdometryAccuracy,
+    PlatformState,
+    known_pose,
+    known_velocity,
+)
 from sal_height.numeric import F64
+from sal_height.settings import Settings, setting
 
 MOST_STATES = 200_000
 """Greatest number of samples that are kept, 100 s at 2 kHz (20 MB), whatever time they span."""
@@ -24,6 +34,90 @@ OLD = 4
 
 NUMBERS = 10
 """Numbers of a sample: position, orientation and velocity."""
+
+
+ACCURACY: Mapping[str, str] = {
+    "odometry_position_sigma_m": "position_m",
+    "odometry_velocity_sigma_mps": "velocity_mps",
+    "odometry_attitude_sigma_rad": "attitude_rad",
+    "odometry_heading_sigma_rad": "heading_rad",
+}
+"""Numbers of `OdometryAccuracy`, by the parameters that state them."""
+
+
+class OdometrySettings(Settings):
+    """Settings of the odometry: its gaps, and its accuracy where its covariances do not state it."""
+
+    max_odometry_gap_s: float = setting(
+        0.5, "longest time between two odometry samples during a dwell", unit="s", minimum=1e-6, maximum=3600.0
+    )
+    odometry_interval_s: float = setting(
+        0.05,
+        "longest time between two odometry samples that is no gap; in a gap the covariance of the pose grows by what "
+        "the platform may have done meanwhile",
+        unit="s",
+        minimum=1e-6,
+        maximum=3600.0,
+    )
+    acceleration_noise: float = setting(
+        0.1,
+        "acceleration that odometry does not show, for gaps",
+        unit="m/s^2/sqrt(Hz)",
+        minimum=0.0,
+        maximum=1000.0,
+    )
+    turning_noise: float = setting(
+        0.01,
+        "angular acceleration that odometry does not show, for gaps",
+        unit="rad/s^2/sqrt(Hz)",
+        minimum=0.0,
+        maximum=1000.0,
+    )
+    odometry_position_sigma_m: float = setting(
+        NOT_STATED,
+        "standard deviation of each component of the position where the covariances of the odometry leave it unknown: "
+        "a variance is zero, negative or NaN, or all three are one number that is no measurement; 0: exact; -1: not "
+        "known, 2 m are assumed and the heights are doubted",
+        unit="m",
+        minimum=NOT_STATED,
+        maximum=1e5,
+    )
+    odometry_velocity_sigma_mps: float = setting(
+        NOT_STATED, "the same of the velocity; -1: 0.05 m/s", unit="m/s", minimum=NOT_STATED, maximum=1e3
+    )
+    odometry_attitude_sigma_rad: float = setting(
+        NOT_STATED, "the same of roll and pitch; -1: 0.002 rad", unit="rad", minimum=NOT_STATED, maximum=math.pi
+    )
+    odometry_heading_sigma_rad: float = setting(
+        NOT_STATED, "the same of the heading; -1: 0.01 rad", unit="rad", minimum=NOT_STATED, maximum=math.pi
+    )
+    odometry_buffer_s: float = setting(
+        100.0,
+        "time for which odometry is kept; a dwell must be complete within it",
+        unit="s",
+        minimum=1.0,
+        maximum=86400.0,
+        read_only=True,
+    )
+
+    @property
+    def motion(self) -> Motion:
+        """Motion that is possible in gaps of the odometry."""
+        return Motion(self.acceleration_noise, self.turning_noise, self.odometry_interval_s)
+
+    @property
+    def accuracy(self) -> OdometryAccuracy:
+        """Accuracy of odometry whose covariances do not state it."""
+        return OdometryAccuracy(**{number: getattr(self, name) for name, number in ACCURACY.items()})
+
+
+def accuracy_stated(values: Mapping[str, Any]) -> OdometryAccuracy:
+    """Accuracy of odometry whose covariances do not state it, by the values of the compression in a provenance.
+
+    Odometry is exact in those of before there were such parameters.
+    """
+    found = {number: values.get(name, 0.0) for name, number in ACCURACY.items()}
+    return OdometryAccuracy(**{n: float(value) for n, value in found.items() if isinstance(value, int | float)})
 
 
 class Arrival(Enum):
@@ -159,6 +253,6 @@ def without_delay(state: PlatformState, delay_ns: int) -> PlatformState:
     return replace(
         state,
         stamp_ns=state.stamp_ns - delay_ns,
-        covariance=known_covariance(state.covariance, GREATEST_POSE),
-        velocity_covariance=known_covariance(state.velocity_covariance, GREATEST_VELOCITY),
+        covariance=known_pose(state.covariance),
+        velocity_covariance=known_velocity(state.velocity_covariance),
     )

@@ -2,12 +2,14 @@
 
 Read `frames` first (body and map axes, mounting and state of the sensor, elevation and squint), then `earth` (heights
 above the sphere), `grid` (pixels of an image), `trajectory` (odometry to positions of the antenna at each pulse; range
-and Doppler to a position on the ground), `motion` (uncertainty in its gaps, quaternions), `geodesy` (the origin of a
-map on the ellipsoid, axes of aviation), `projection` (a map in UTM or the like), `elevation_model` (heights of the
-ground from files), `navigation` (positions, velocities and attitudes of separate instruments) and `refraction` (delay
-and bending by the atmosphere). Angles are in rad, lengths in m, times in s.
+and Doppler to a position on the ground), `motion` (uncertainty in its gaps, quaternions), `accuracy` (of odometry whose
+covariances state none), `geodesy` (the origin of a map on the ellipsoid, axes of aviation), `projection` (a map in UTM
+or the like), `elevation_model` (heights of the ground from files), `navigation` (positions, velocities and attitudes of
+separate instruments) and `refraction` (delay and bending by the atmosphere). Angles are in rad, lengths in m, times in
+s.
 """
 
+from sal_height.geometry.accuracy import ASSUMED, EXACT, NOT_STATED, OdometryAccuracy, known_pose, known_velocity
 from sal_height.geometry.earth import EARTH_RADIUS, above_place, height_of, sphere_coordinates, sphere_point
 from sal_height.geometry.frames import (
     AT_BASE_LINK,
@@ -37,23 +39,21 @@ from sal_height.geometry.refraction import (
     refractivities,
 )
 from sal_height.geometry.trajectory import (
-    GREATEST_POSE,
-    GREATEST_VELOCITY,
     PlatformState,
     Trajectory,
-    is_finite_covariance,
-    known_covariance,
+    antenna_covariance,
     locate_at_elevation,
     locate_at_height,
 )
 
 __all__ = [
+    "ASSUMED",
     "AT_BASE_LINK",
     "BODY_AXES",
     "EARTH_RADIUS",
-    "GREATEST_POSE",
-    "GREATEST_VELOCITY",
+    "EXACT",
     "MAP_AXES",
+    "NOT_STATED",
     "PRESSURES_PA",
     "RADIO_M",
     "REORDERED_NS",
@@ -70,6 +70,7 @@ __all__ = [
     "Motion",
     "Mounting",
     "Navigation",
+    "OdometryAccuracy",
     "Origin",
     "PlatformState",
     "Projection",
@@ -77,13 +78,14 @@ __all__ = [
     "Trajectory",
     "above_place",
     "angles_of",
+    "antenna_covariance",
     "antennas_of",
     "aperture_at",
     "describe_implausible_pressure",
     "find_system",
     "height_of",
-    "is_finite_covariance",
-    "known_covariance",
+    "known_pose",
+    "known_velocity",
     "locate_at_elevation",
     "locate_at_height",
     "look_direction",

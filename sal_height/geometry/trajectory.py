@@ -15,16 +15,17 @@ from scipy.spatial.transform import Rotation, RotationSpline
 
 from sal_height.errors import UserError
 from sal_height.geometry import _kernels as kernels
+from sal_height.geometry.accuracy import (
+    OdometryAccuracy,
+    known_pose,
+    known_velocity,
+    position_variance,
+    shortfall,
+)
 from sal_height.geometry.earth import EARTH_RADIUS
 from sal_height.geometry.frames import AT_BASE_LINK, ApertureState, Mounting, antennas_of
 from sal_height.geometry.motion import STEADY, Motion, attitude_between, rotation_matrix
 from sal_height.numeric import F64, arrays_of, in_parallel, joined_bytes
-
-GREATEST_POSE = np.array([1e5, 1e5, 1e5, np.pi, np.pi, np.pi])
-"""Standard deviations of an unknown pose, m and rad."""
-
-GREATEST_VELOCITY = np.array([1e3, 1e3, 1e3])
-"""Standard deviations of an unknown velocity, m/s."""
 
 
 def locate_at_elevation(
@@ -128,6 +129,10 @@ def _state_of(stamp_ns: int, numbers: bytes) -> PlatformState:
     return PlatformState(stamp_ns, *arrays_of(numbers, ((3,), (4,), (3,), (6, 6), (3, 3))))
 
 
+NOBODY_KNOWS = OdometryAccuracy()
+"""Accuracy of odometry that nothing states but its covariances."""
+
+
 class Trajectory:
     """Platform states over time: positions by cubic Hermite splines, attitudes by spherical linear interpolation.
 
@@ -140,10 +145,20 @@ class Trajectory:
     leaves its chord over 5 ms by 0.12 um, a twelfth of a wavelength of 1.55 um each way.
     """
 
-    def __init__(self, states: list[PlatformState], mounting: Mounting = AT_BASE_LINK, motion: Motion = STEADY) -> None:
-        """Interpolate two or more states of strictly increasing time, for a sensor with this mounting.
+    def __init__(
+        self,
+        states: list[PlatformState],
+        mounting: Mounting = AT_BASE_LINK,
+        motion: Motion = STEADY,
+        accuracy: OdometryAccuracy = NOBODY_KNOWS,
+    ) -> None:
+        """Interpolate two or more states of strictly increasing time.
 
-        In gaps between states, the covariance grows by that of `motion`.
+        Args:
+            states: samples of odometry.
+            mounting: mounting of the sensor whose track it is.
+            motion: motion by which the covariance grows in gaps between states.
+            accuracy: accuracy of states whose covariances do not state it.
 
         Raises:
             UserError: there are fewer than two states, their times do not increase, or their velocities contradict
@@ -152,7 +167,7 @@ class Trajectory:
         if len(states) < 2:
             raise UserError(f"The odometry has {len(states)} samples; 2 or more are needed to interpolate.")
         self.states = states
-        self.mounting, self.motion = mounting, motion
+        self.mounting, self.motion, self.accuracy = mounting, motion, accuracy
         self.epoch_ns = states[0].stamp_ns
         self._seconds = np.array([(s.stamp_ns - self.epoch_ns) * 1e-9 for s in states])
         if not np.all(np.diff(self._seconds) > 0):
@@ -188,16 +203,20 @@ class Trajectory:
         """The track from the last state at or before `start_ns` to the first at or after `end_ns`, if it has them."""
         stamps = [state.stamp_ns for state in self.states]
         first = max(0, bisect.bisect_right(stamps, start_ns) - 1)
-        return Trajectory(self.states[first : bisect.bisect_left(stamps, end_ns) + 1], self.mounting, self.motion)
+        return self.of_states(self.states[first : bisect.bisect_left(stamps, end_ns) + 1])
 
     def followed_by(self, later: Trajectory) -> Trajectory:
         """This track up to the first state of `later`, and `later` from there on."""
         before = bisect.bisect_left(self.states, later.epoch_ns, key=lambda state: state.stamp_ns)
-        return Trajectory([*self.states[:before], *later.states], self.mounting, self.motion)
+        return self.of_states([*self.states[:before], *later.states])
 
     def mounted(self, mounting: Mounting) -> Trajectory:
         """The track of a sensor on this platform."""
-        return self if mounting == self.mounting else Trajectory(self.states, mounting, self.motion)
+        return self if mounting == self.mounting else Trajectory(self.states, mounting, self.motion, self.accuracy)
+
+    def of_states(self, states: list[PlatformState]) -> Trajectory:
+        """The track by other states of the same platform."""
+        return Trajectory(states, self.mounting, self.motion, self.accuracy)
 
     def positions(self, stamp_ns: int, seconds_after: F64) -> F64:
         """Return the positions (m) at `stamp_ns` + `seconds_after` (s, increasing), shape (times, 3).
@@ -212,14 +231,27 @@ class Trajectory:
     def velocity_covariance(self, stamp_ns: int, pulse_times: F64) -> F64:
         """Covariance of the velocity ((m/s)^2, map axes, (3, 3)) at the sample nearest to the middle of the pulses.
 
-        Zeros where the stated one is invalid (`known_covariance`).
+        It is the stated one; zeros where nobody states any.
 
         Raises:
             UserError: a time lies outside the track.
         """
         nearest = self.nearest(stamp_ns, pulse_times)
         attitude = rotation_matrix(nearest.orientation)
-        return attitude @ known_covariance(nearest.velocity_covariance, GREATEST_VELOCITY) @ attitude.T
+        return attitude @ self._stated(nearest)[1] @ attitude.T
+
+    def assumed(self, stamp_ns: int, pulse_times: F64) -> F64:
+        """Variances that are assumed in addition to the stated ones, because nobody states them, shape (AXES,).
+
+        They are the greatest of the samples nearest to the first, the middle and the last pulse.
+
+        Raises:
+            UserError: a time lies outside the track.
+        """
+        t, sigmas = self._offsets(stamp_ns, pulse_times), self.accuracy.assumed
+        nearest = {self._nearest(one) for one in (float(t[0]), self._middle(t), float(t[-1]))}
+        states = [self.states[index] for index in nearest]
+        return np.max([shortfall(one.covariance, one.velocity_covariance, sigmas) for one in states], axis=0)
 
     def nearest(self, stamp_ns: int, pulse_times: F64) -> PlatformState:
         """The sample nearest to the middle of the pulses at `stamp_ns` + `pulse_times` (s, increasing).
@@ -232,7 +264,8 @@ class Trajectory:
     def aperture(self, stamp_ns: int, pulse_times: F64) -> ApertureState:
         """Return the state in the middle of the pulses at `stamp_ns` + `pulse_times` (s, increasing).
 
-        Its covariance is that of the nearest sample (`known_covariance`) plus that of a gap around it.
+        Its covariance is the stated one of the nearest sample plus that of a gap around it; zeros where nobody states
+        any.
 
         Raises:
             UserError: a time lies outside the track, or the platform stands still.
@@ -251,12 +284,18 @@ class Trajectory:
             velocity=velocity,
             rotation=self._attitude(middle),
             length=speed * float(t[-1] - t[0]) * len(t) / (len(t) - 1),
-            covariance=_antenna_covariance(
-                known_covariance(nearest.covariance, GREATEST_POSE) + self.motion.covariance(since_s, until_s),
+            covariance=antenna_covariance(
+                self._stated(nearest)[0] + self.motion.covariance(since_s, until_s),
                 nearest.orientation,
                 self.mounting,
             ),
         )
+
+    def _stated(self, state: PlatformState) -> tuple[F64, F64]:
+        """Covariances of pose and velocity of a sample, by itself or, where it states none, by the stated accuracy."""
+        more = shortfall(state.covariance, state.velocity_covariance, self.accuracy.stated)
+        pose, velocity = known_pose(state.covariance), known_velocity(state.velocity_covariance)
+        return pose + np.diag(more[:6]), velocity + np.diag(more[6:])
 
     def _middle(self, t: F64) -> float:
         """The middle of times in s after the epoch."""
@@ -288,35 +327,7 @@ class Trajectory:
         return position + turning.apply(arm), velocity + turning.apply(swept)
 
 
-def is_finite_covariance(matrix: F64) -> bool:
-    """True if a matrix is finite and has no negative variance in any direction, except for rounding."""
-    if not np.all(np.isfinite(matrix)):
-        return False
-    return bool(np.linalg.eigvalsh(matrix / 2 + matrix.T / 2)[0] >= -1e-5 * np.abs(matrix).max())
-
-
-def known_covariance(stated: F64, greatest: F64) -> F64:
-    """Valid part of a stated covariance.
-
-    Args:
-        stated: covariance of a velocity, shape (3, 3), or of a pose, (6, 6); invalid blocks of (3, 3) become zeros.
-        greatest: greatest standard deviations, shape of the diagonal; greater ones are reduced to these.
-    """
-    known = stated
-    if not is_finite_covariance(stated):
-        known = np.zeros_like(stated)
-        for block in (slice(0, 3), slice(3, 6)):
-            part = stated[block, block]
-            if part.size and is_finite_covariance(part):
-                known[block, block] = part
-    sigmas = np.sqrt(np.maximum(known.diagonal(), 0.0))
-    if np.all(sigmas <= greatest):
-        return known
-    scale = greatest / np.maximum(sigmas, greatest)
-    return np.asarray(scale[:, None] * known * scale)
-
-
-def _antenna_covariance(covariance: F64, orientation: F64, mounting: Mounting) -> F64:
+def antenna_covariance(covariance: F64, orientation: F64, mounting: Mounting) -> F64:
     """Covariance of position (m^2) and rotation (rad^2) of the antenna from that of base_link, shape (6, 6).
 
     An error of the attitude by the small rotation e moves the antenna by e x arm, so that the covariance C becomes
@@ -337,8 +348,7 @@ def _check_velocity(states: list[PlatformState], seconds: F64) -> None:
     speed and three standard deviations of the positions.
     """
     positions, velocities = np.array([s.position for s in states]), np.array([s.velocity for s in states])
-    variance = np.trace(np.array([s.covariance[:3, :3] for s in states]), axis1=1, axis2=2)
-    sigma = np.sqrt(np.maximum(variance, 0.0))
+    sigma = np.sqrt(position_variance(np.array([s.covariance[:3, :3] for s in states])))
     steps = np.diff(seconds)
     made = np.diff(positions, axis=0) / steps[:, None]
     stated = (velocities[1:] + velocities[:-1]) / 2

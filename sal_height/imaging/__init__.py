@@ -1,9 +1,9 @@
 """Image formation: from the phase history of a dwell or strip to single-look complex images of all detectors.
 
 Read `focus` and `strip_focus` first (`focus_dwell`, `StripFocuser`: the whole of it), then `pixels` (image grids,
-their noise, windows, and beams in strip images), `corrections` (known errors), `checks` (dwells that alias are
-refused), `formers` (backprojection and the fast ones), `autofocus` (phase errors common to all detectors) and `strip`
-(blocks that join).
+their noise, windows, and beams in strip images), `corrections` (known errors), `unknown_odometry` (assumed errors),
+`checks` (dwells that alias are refused), `formers` (backprojection and the fast ones), `autofocus` (phase errors common
+to all detectors) and `strip` (blocks that join).
 """
 
 from sal_height.imaging.autofocus.gradient import apply_phase, focus_cells, is_for_speckle
@@ -22,9 +22,11 @@ from sal_height.imaging.formers.backprojection import backproject, backproject_p
 from sal_height.imaging.formers.choice import FORMERS, FormImages
 from sal_height.imaging.pixels import Processing, azimuth_resolution, image_beams, line_of_sight
 from sal_height.imaging.strip_focus import StripFocuser
+from sal_height.imaging.unknown_odometry import UNKNOWN_ODOMETRY, with_unknown_odometry
 
 __all__ = [
     "FORMERS",
+    "UNKNOWN_ODOMETRY",
     "Centroid",
     "Corrected",
     "CorrectionSettings",
@@ -50,4 +52,5 @@ __all__ = [
     "line_of_sight",
     "stays_in_range_cell",
     "with_known_errors",
+    "with_unknown_odometry",
 ]

@@ -10,7 +10,7 @@ import scipy.fft
 
 from sal_height.doubts import Doubt
 from sal_height.errors import Rejected
-from sal_height.geometry import ApertureState, Grid, PlatformState, is_finite_covariance
+from sal_height.geometry import ApertureState, Grid
 from sal_height.imaging.pixels import aim_point, line_of_sight
 from sal_height.numeric import F64
 from sal_height.sensor import PhaseHistory, Sensor, look_ahead_angle
@@ -111,18 +111,6 @@ def describe_unverified_squint(sensor: Sensor, aperture: ApertureState) -> str:
         f"The odometry makes the beams look {abs(squint):.3g} rad {where} abeam of the flight; beyond {limit:.3g} rad "
         "the Doppler of the pulses cannot confirm it, so that an error in yaw or boresights would go unnoticed."
     )
-
-
-def describe_covariances(state: PlatformState) -> str:
-    """A message on invalid covariances of the odometry; empty if they are valid, or zeros."""
-    for name, matrix in (("pose", state.covariance), ("twist", state.velocity_covariance)):
-        if not is_finite_covariance(matrix):
-            wrong = "is negative" if np.all(np.isfinite(matrix)) else "is not finite"
-            return (
-                f"The covariance of the odometry's {name} {wrong}; that part of it counts as exact. State how well it "
-                "is known, or zeros."
-            )
-    return ""
 
 
 def check_pulses(sensor: Sensor, antenna: F64, aperture: ApertureState) -> None:

@@ -137,7 +137,7 @@ def correct_track(track: Trajectory, settings: CorrectionSettings) -> Trajectory
     if not (delay_ns := settings.odometry_delay_ns):
         return track
     states = [replace(state, stamp_ns=state.stamp_ns - delay_ns) for state in track.states]
-    return Trajectory(states, track.mounting, track.motion)
+    return track.of_states(states)
 
 
 def correct_dwell(history: PhaseHistory, track: Trajectory, sensor: Sensor, settings: CorrectionSettings) -> Corrected:

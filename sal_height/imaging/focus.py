@@ -28,7 +28,6 @@ from sal_height.imaging.autofocus.placement import (
 from sal_height.imaging.checks import (
     check_doppler_centroid,
     check_dwell,
-    describe_covariances,
     describe_unverified_squint,
     doubts_of_odometry,
 )
@@ -182,7 +181,6 @@ def focus_dwell(history: PhaseHistory, track: Trajectory, sensor: Sensor, settin
     # Phase error, and the direction of the beams along the flight: by navigation and, if necessary, the data.
     sight, grid = line_of_sight(sensor, aperture), _dwell_grid(settings, sensor, aperture, reference, processing)
     velocity_covariance = track.velocity_covariance(history.stamp_ns, history.pulse_times)
-    bad_covariance = describe_covariances(track.nearest(history.stamp_ns, history.pulse_times))
     prior = NavigationPrior.of(with_known_errors(aperture, sensor, settings), velocity_covariance, sight)
     focus, placement = _find_beams(history, antenna, sensor, patch_centres(sensor, aperture, grid), prior, settings)
     if focus and focus.trusted:
@@ -199,7 +197,7 @@ def focus_dwell(history: PhaseHistory, track: Trajectory, sensor: Sensor, settin
     doubtful = describe_unverified_squint(sensor, aperture)
     if is_for_speckle(sensor, antenna) and not (focus and focus.finds_beams):
         doubtful = doubtful or off_middle
-    doubts = doubts_of_odometry(doubtful or bad_covariance)
+    doubts = doubts_of_odometry(doubtful)
     windows = settings.azimuth_window, settings.range_window
     left = focus.standard_error if focus and focus.trusted else 0.0
     shares = history.shares.max(axis=1)

@@ -22,7 +22,6 @@ from sal_height.imaging.autofocus.placement import (
 from sal_height.imaging.autofocus.strip_phase import link_block, stays_in_range_cell
 from sal_height.imaging.checks import (
     check_dwell,
-    describe_covariances,
     describe_strip_centroid,
     describe_unverified_squint,
     doubts_of_odometry,
@@ -85,7 +84,6 @@ class StripFocuser:
         check_dwell(history, antenna, sensor, aperture)
         # Phase error, and the direction of the beams along the flight: by navigation or, if necessary, the data.
         velocity_covariance = mounted.velocity_covariance(history.stamp_ns, history.pulse_times)
-        self._doubt = describe_covariances(mounted.nearest(history.stamp_ns, history.pulse_times)) or self._doubt
         flown = with_known_errors(aperture, sensor, settings)
         prior = NavigationPrior.of(flown, velocity_covariance, line_of_sight(sensor, aperture))
         history, focus, placement = _in_focus(history, antenna, aperture, prior, continued, sensor, settings)

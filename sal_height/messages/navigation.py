@@ -1,7 +1,7 @@
 """Conversion of the messages of instruments (PoseStamped, TwistStamped, NavSatFix, Imu, air), mountings and origins.
 
 Each function that reads a message checks it. All but `read_air` raise Rejected if a frame is another one than stated, a
-value is not finite, or a quaternion has not the norm 1.
+value is not finite, or a quaternion has not the norm 1. A covariance that is not finite is not stated.
 """
 
 from __future__ import annotations
@@ -42,6 +42,7 @@ LOWEST_ORIGIN, HIGHEST_ORIGIN = -1000.0, 10_000.0
 """Heights above the ellipsoid that the origin of a map may have, m."""
 
 UNKNOWN = np.zeros((3, 3))
+"""Covariance that is not stated."""
 
 
 def read_pose(message: PoseStamped, frames: Frames) -> tuple[Sample, Sample]:
@@ -137,7 +138,7 @@ def read_fix(message: NavSatFix, origin: Origin) -> Sample:
             "allowed; set origin_latitude_deg, origin_longitude_deg and origin_height_m to a position in the scene.",
         )
     known = message.position_covariance_type != NavSatFix.COVARIANCE_TYPE_UNKNOWN
-    covariance = _covariance("NavSatFix", message.position_covariance) if known else UNKNOWN
+    covariance = _covariance(message.position_covariance) if known else UNKNOWN
     return Sample(to_ns(message.header.stamp), position, covariance)
 
 
@@ -146,7 +147,7 @@ def read_attitude(message: Imu, frames: Frames) -> Sample:
     _check_frame("Imu", message.header.frame_id, (frames.body,))
     if message.orientation_covariance[0] < 0:
         raise Rejected("no attitude", "Imu says that it has no orientation (orientation_covariance[0] < 0).")
-    attitude, covariance = _attitude("Imu", message.orientation), _covariance("Imu", message.orientation_covariance)
+    attitude, covariance = _attitude("Imu", message.orientation), _covariance(message.orientation_covariance)
     stamp_ns = to_ns(message.header.stamp)
     return Sample(stamp_ns, frames.axes.attitude(attitude), frames.axes.covariance(covariance))
 
@@ -157,9 +158,10 @@ def _attitude(what: str, orientation: Quaternion) -> F64:
     return np.array(quaternion) / math.hypot(*quaternion)
 
 
-def _covariance(what: str, numbers: Sequence[float]) -> F64:
-    check_finite(numbers, what)
-    return np.array(numbers, dtype=np.float64).reshape(3, 3)
+def _covariance(numbers: Sequence[float]) -> F64:
+    """The covariance that is stated; UNKNOWN if it is not finite."""
+    covariance = np.array(numbers, dtype=np.float64).reshape(3, 3)
+    return covariance if np.all(np.isfinite(covariance)) else UNKNOWN
 
 
 def _check_frame(what: str, frame: str, allowed: tuple[str, ...]) -> None:

@@ -40,6 +40,7 @@ from sal_height.imaging import (
     correct_dwell,
     focus_dwell,
     with_known_errors,
+    with_unknown_odometry,
 )
 from sal_height.numeric import Bool, Index, one_blas_thread
 from sal_height.pipeline.channels import channel_sets, channels_and_beams, live_channels
@@ -88,9 +89,10 @@ class Compressor:
             slc: Slc | None = focus_dwell(corrected.history, corrected.track, corrected.sensor, settings)
         else:
             slc = self._strip.focus_block(corrected, settings, calibration)
-        # The corrections leave a common error of all pixels.
+        # The corrections, and odometry whose accuracy nobody states, leave a common error of all pixels.
         if slc:
             slc = replace(slc, aperture=with_known_errors(slc.aperture, corrected.sensor, settings))
+            slc = with_unknown_odometry(slc, corrected)
         # The calibration has raised the noise of channels that were weak.
         if slc and calibration:
             slc = replace(slc, noise_power=calibration.noise_gains(settings.range_window) * slc.noise_power)

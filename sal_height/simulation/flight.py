@@ -15,6 +15,7 @@ from sal_height.errors import UserError
 from sal_height.geometry import (
     AirPath,
     ApertureState,
+    OdometryAccuracy,
     Origin,
     PlatformState,
     Trajectory,
@@ -236,7 +237,13 @@ class SimulatedFlight:
         early_ns, late_ns = self._odometry_off_ns
         start_ns, end_ns = self.dwell_start_ns(dwell) + early_ns, self.dwell_end_ns(dwell) + late_ns
         numbers = range(start_ns // period_ns, -(-end_ns // period_ns) + 1)
-        return Trajectory([self._state(number * period_ns) for number in numbers])
+        return Trajectory([self._state(number * period_ns) for number in numbers], accuracy=self.odometry_accuracy)
+
+    @property
+    def odometry_accuracy(self) -> OdometryAccuracy:
+        """Accuracy of the odometry, whose covariances are zeros where it is exact."""
+        errors = self.preset.impairments.odometry
+        return OdometryAccuracy(errors.position_m, errors.velocity_mps, errors.attitude_rad, errors.heading_rad)
 
     @property
     def _odometry_off_ns(self) -> tuple[int, int]:

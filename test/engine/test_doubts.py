@@ -5,20 +5,50 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from flown_items import SMALL, flight_items, made, ml_stage, small_flight
+from driven import accept, drive
+from flown_items import SMALL, flight_items, heights_in, made, ml_stage, small_flight
 
+from sal_height.adjustment import References
+from sal_height.engine.adjuster import FlightAdjuster, HeightAdjuster
 from sal_height.engine.compression import Compression, CompressionSettings
 from sal_height.engine.height_items import Heights
 from sal_height.topics import ODOMETRY
 
 
 def test_heights_have_the_doubts_about_their_images() -> None:
-    flight, settings = small_flight(), CompressionSettings(**SMALL)
+    flight, settings = small_flight(), CompressionSettings(**{**SMALL, "odometry_velocity_sigma_mps": -1.0})
     absurd = {"velocity_covariance": np.full((3, 3), np.nan)}
     items = flight_items(flight, dwells=[0])
     items = [(port, replace(item, **absurd) if port == ODOMETRY else item) for port, item in items]
     ml = ml_stage()
     found = made([Compression(settings), ml], [settings, type(ml).settings()], items, "ml/height")
     heights: Heights = found[0]
-    assert [doubt.name for doubt in heights.doubts] == ["odometry"]
-    assert "twist is not finite" in heights.doubts[0].sentence
+    assert [doubt.name for doubt in heights.doubts] == ["odometry of unknown accuracy"]
+    assert "accuracy of: velocity (" in heights.doubts[0].sentence
+
+
+def test_odometry_that_states_nothing_is_warned_of_in_every_dwell() -> None:
+    """And in none if parameters say that it is exact."""
+    flight = small_flight()
+    items = [accept(*item) for item in flight_items(flight, dwells=[0, 1])]
+    warned = drive(Compression(CompressionSettings(rows=20, cols=8)), items)
+    assert warned.warned() == {"odometry of unknown accuracy": 2}
+    assert warned.notices[0].sentence.startswith("Dwell 0: The covariances of the odometry do not state")
+    assert drive(Compression(CompressionSettings(**SMALL)), items).warned() == {}
+
+
+def test_the_adjustment_counts_what_is_assumed_as_stated() -> None:
+    """And odometry as exact if the provenance of heights states no accuracy, as before it could."""
+    flight = small_flight()
+    states = [state for port, state in flight_items(flight, dwells=[0, 1]) if port == ODOMETRY]
+    sigmas = []
+    for stated in (CompressionSettings(rows=20, cols=8), CompressionSettings(**SMALL), {}):
+        heights = heights_in(flight, **SMALL)[0]
+        heights = replace(heights, provenance=heights.provenance.derived("sar_compression", stated))
+        adjusted = FlightAdjuster(References()).adjust(heights, flight.sensor, states, HeightAdjuster.settings())
+        sigmas.append(np.sqrt(adjusted.off.covariance.diagonal()[:6]))
+    # The velocity moves images by 5 m along the flight; the mounting turns by 1 mrad, as the settings have it.
+    expected = np.hypot([2.0, 2.0, 2.0, 2e-3, 2e-3, 1e-2], [5.0, 0.0, 0.0, 1e-3, 1e-3, 1e-3])
+    np.testing.assert_allclose(sigmas[0], expected, rtol=0.02)
+    assert np.all(sigmas[1] < 0.1)
+    np.testing.assert_array_equal(sigmas[1], sigmas[2])

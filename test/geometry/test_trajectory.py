@@ -10,14 +10,7 @@ from helpers import refused
 from scipy.spatial.transform import Rotation
 
 from sal_height.errors import UserError
-from sal_height.geometry.trajectory import (
-    GREATEST_POSE,
-    GREATEST_VELOCITY,
-    PlatformState,
-    Trajectory,
-    is_finite_covariance,
-    known_covariance,
-)
+from sal_height.geometry import OdometryAccuracy, PlatformState, Trajectory
 
 EPOCH_NS = 1_700_000_000_123_456_789
 COEFFICIENTS = np.array([[3.1, -7.2, 3535.5], [48.0, -2.0, 0.5], [0.7, 3.0, -2.0], [-5.0, 11.0, 7.0]])
@@ -163,19 +156,43 @@ def test_covariance_of_the_velocity_is_that_of_the_nearest_sample_in_axes_of_map
     np.testing.assert_allclose(found, np.diag([20.0, 10.0, 30.0]), atol=1e-12)
 
 
-@pytest.mark.parametrize("wrong", [-1.0, -1e-6, np.nan, np.inf])
-def test_what_is_no_covariance_counts_as_exact_and_the_rest_stays(wrong: float) -> None:
-    """A negative variance of one axis of the position: zeros for all of it, and what is stated of the attitude."""
-    stated = np.diag([1e-4, wrong, 1e-4, 4e-8, 4e-8, 4e-8])
-    assert not is_finite_covariance(stated)
-    np.testing.assert_array_equal(known_covariance(stated, GREATEST_POSE), np.diag([0.0] * 3 + [4e-8] * 3))
-    np.testing.assert_array_equal(known_covariance(stated[:3, :3], GREATEST_VELOCITY), np.zeros((3, 3)))
-    whole = np.diag([1e-4, 1e-4, 0.0, 4e-8, 4e-8, 4e-8])
-    np.testing.assert_array_equal(known_covariance(whole, GREATEST_POSE), whole)
+def test_an_accuracy_that_is_stated_counts_where_covariances_state_none() -> None:
+    """In the axes of map, and at the nearest sample."""
+    states = [replace(state(offset), covariance=np.zeros((6, 6))) for offset in (0, 10_000_000)]
+    track = Trajectory(states, accuracy=OdometryAccuracy(3.0, 0.2, 0.01, 0.05)).of_states(states)
+    times = np.array([0.0, 0.004])
+    expected = np.diag([3.0, 3.0, 3.0, 0.01, 0.01, 0.05]) ** 2
+    np.testing.assert_array_equal(track.aperture(EPOCH_NS, times).covariance, expected)
+    np.testing.assert_allclose(track.velocity_covariance(EPOCH_NS, times), 0.04 * np.eye(3), atol=1e-15)
+    assert not track.assumed(EPOCH_NS, times).any()
 
 
-def test_covariances_beyond_all_bounds_count_as_nothing_known() -> None:
-    """What is correlated stays so: 1e30 of two axes, correlated by a half, and a third that is known."""
-    stated = np.array([[1e30, 5e29, 1e13], [5e29, 1e30, 0.0], [1e13, 0.0, 1e-2]])
-    found = known_covariance(stated, GREATEST_VELOCITY)
-    np.testing.assert_allclose(found, [[1e6, 5e5, 1e1], [5e5, 1e6, 0.0], [1e1, 0.0, 1e-2]])
+def test_an_accuracy_that_nobody_states_is_assumed_and_is_no_covariance() -> None:
+    states = [replace(state(offset), covariance=np.zeros((6, 6))) for offset in (0, 10_000_000)]
+    track, times = Trajectory(states), np.array([0.0, 0.004])
+    assert not track.aperture(EPOCH_NS, times).covariance.any()
+    assert not track.velocity_covariance(EPOCH_NS, times).any()
+    np.testing.assert_array_equal(
+        np.sqrt(track.assumed(EPOCH_NS, times)), [2, 2, 2, 2e-3, 2e-3, 1e-2, 0.05, 0.05, 0.05]
+    )
+
+
+@pytest.mark.parametrize("unknown", range(3))
+def test_one_sample_around_the_pulses_that_states_nothing_is_enough(unknown: int) -> None:
+    """That of the first, of the middle or of the last of the pulses; others of the track do not count."""
+    stated = {"covariance": np.diag([1e-4] * 3 + [1e-8] * 3), "velocity_covariance": 1e-4 * np.eye(3)}
+    states = [replace(state(number * 1_000_000), **stated) for number in range(5)]
+    times = np.array([1e-3, 2e-3, 3e-3])
+    assert not Trajectory(states).assumed(EPOCH_NS, times).any()
+    without = {place: replace(states[place], velocity_covariance=np.zeros((3, 3))) for place in (0, unknown + 1, 4)}
+    for place in (0, 4):
+        assert not Trajectory([*states[:place], without[place], *states[place + 1 :]]).assumed(EPOCH_NS, times).any()
+    states[unknown + 1] = without[unknown + 1]
+    assert np.flatnonzero(Trajectory(states).assumed(EPOCH_NS, times)).tolist() == [6, 7, 8]
+
+
+@pytest.mark.parametrize("unknown", [np.nan, 1e10])
+def test_positions_of_unknown_accuracy_are_compared_with_velocities_all_the_same(unknown: float) -> None:
+    states = [replace(one, covariance=unknown * np.eye(6)) for one in level_states(0.0)]
+    with refused(UserError, "[0.0, 0.0, 0.0] m/s", "positions [50.0, 0.0, 0.0]"):
+        Trajectory(states)

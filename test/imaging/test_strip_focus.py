@@ -213,14 +213,6 @@ def test_boresights_that_are_not_known_make_the_beams_uncertain() -> None:
     assert found
 
 
-def test_a_covariance_that_is_none_is_said() -> None:
-    found, refused = images(Impairments(), Stated(speed_sigma=float("nan")))
-    assert not refused
-    for slc in found:
-        assert_one_sentence(slc.doubts[0].sentence, "twist", "not finite")
-    assert found
-
-
 def test_always_leaves_a_block_without_echoes_as_it_is_where_odometry_is_exact() -> None:
     found, refused = images(Impairments(), Stated(), SETTINGS.changed(autofocus="always"), dark=(2,))
     assert not refused

@@ -17,7 +17,7 @@ from stage_graph import StageGraph
 
 from sal_height import messages
 from sal_height.errors import UserError
-from sal_height.geometry import Origin, PlatformState, rotation_matrix
+from sal_height.geometry import Origin, PlatformState, Trajectory, rotation_matrix
 from sal_height.messages.types import Header, Imu, NavSatFix, Odometry, PoseStamped, Twist, TwistStamped, Vector3
 from sal_height.nodes.processing import PROCESSING
 from sal_height.nodes.transport.graph import Graph
@@ -116,6 +116,22 @@ def test_fixes_and_attitudes_become_odometry_in_a_map_on_the_earth() -> None:
         np.testing.assert_allclose(state.velocity, [0.0, 11.12, 0.0], rtol=0, atol=0.01)
         assert state.covariance[2, 2] == 9.0
     assert "no velocity" in instruments.stage.counted("ignored.")  # at the first fix there is none
+
+
+@pytest.mark.parametrize("number", [0.0, -1.0, math.nan, 1e-12, 1e6])
+def test_what_instruments_do_not_state_is_unknown_of_the_odometry(number: float) -> None:
+    """Also a covariance of the type UNKNOWN, whatever it is; the velocity is known of neither."""
+    for of_type in (NavSatFix.COVARIANCE_TYPE_UNKNOWN, NavSatFix.COVARIANCE_TYPE_DIAGONAL_KNOWN):
+        instruments = Instruments(position="fix", velocity="positions", **ORIGIN_DEG)
+        for tenth in range(6):
+            fix, imu = fix_at(0.1 * tenth, 48.1 + 1e-5 * tenth), imu_at(0.1 * tenth + 0.02)
+            fix.position_covariance_type = of_type
+            imu.orientation_covariance = np.diag([abs(number), 0.0 if number < 0 else number, number]).ravel()
+            if of_type == NavSatFix.COVARIANCE_TYPE_DIAGONAL_KNOWN:
+                fix.position_covariance = np.diag([number] * 3).ravel()
+            instruments.send(fix, imu)
+        track = Trajectory(instruments.states())
+        assert np.all(track.assumed(track.states[0].stamp_ns, np.array([0.0, 0.01])) > 0)
 
 
 @pytest.mark.parametrize("frame", ["map", "base_link"])

@@ -32,6 +32,7 @@ from sal_height.errors import UserError
 from sal_height.graph.catalogue import recorded_topics
 from sal_height.relief.map import ReliefMap
 from sal_height.runs.live.sensor_bag import record_sensor
+from sal_height.runs.replay.bag_replay import replay
 from sal_height.runs.truth.height_picture import powers_db
 from sal_height.runs.truth.profile import _profile, draw_profile
 from sal_height.runs.truth.report import read_images
@@ -245,6 +246,20 @@ def test_interrupting_leaves_a_whole_bag_and_runs_go_on_side_by_side(two_dwells:
     with AnyReader([out / "bag"]) as reader:
         heights = [c for c in reader.connections if c.topic == "/ml/height"]
         assert sum(1 for _ in reader.messages(heights)) >= report["dwells"] - 1  # the last one may have been cut off
+
+
+def test_odometry_of_unknown_accuracy_is_counted_in_reports_and_stated_in_bags(
+    two_dwells: Preset, tmp_path: Path
+) -> None:
+    """Of a run by nodes, and of its replay by calls."""
+    unknown = {"sar_compression": {"odometry_heading_sigma_rad": -1.0}}
+    fly(two_dwells, SEED, tmp_path / "run", unknown)
+    replay(tmp_path / "run" / "bag", tmp_path / "replay", {}, jobs=1)
+    for out in (tmp_path / "run", tmp_path / "replay"):
+        report = json.loads((out / "report.json").read_text())
+        assert report["stages"]["sar_compression"]["ignored"] == {"odometry of unknown accuracy": 2}
+        found = [doubt.name for image in read_images(out / "bag")["ml"] for doubt in image.doubts]
+        assert found == ["odometry of unknown accuracy"] * 2
 
 
 def test_the_lidar_is_as_accurate_as_theory_allows(tmp_path: Path) -> None:

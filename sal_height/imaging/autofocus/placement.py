@@ -44,7 +44,7 @@ class NavigationPrior:
 
     @classmethod
     def of(cls, aperture: ApertureState, velocity_covariance: F64, sight: F64) -> Self:
-        """Derive the prior from the covariances that odometry states; unstated values count as exact.
+        """Derive the prior from the covariances that odometry states; unstated ones are left out.
 
         Args:
             aperture: state of the platform with the covariance of its pose.
@@ -114,6 +114,19 @@ class Placement:
     by_beams: bool = False
     beams_error: float = 0.0
     own_error: float = 0.0
+
+    def residual_speed(self, speed: float, pointing: float) -> float:
+        """Standard deviation of the residual of `speed` by errors that navigation does not state, m/s.
+
+        What was taken for an error of the velocity may be one of a pointing that nobody states.
+
+        Args:
+            speed: standard deviation of the velocity of the antenna along the line of sight, m/s.
+            pointing: standard deviation of the pointing of the beams along the flight times the speed of flight, m/s.
+        """
+        if self.by_beams:
+            return pointing
+        return float(np.hypot(speed, self.speed)) if pointing else speed
 
     def moved(self, antenna: F64, seconds: F64, sight: F64) -> F64:
         """Positions of the antenna (m), shape (pulses, 3), at times in s from the middle of the dwell."""

@@ -2,8 +2,9 @@
 
 The provenance of products states every parameter of the nodes that made them, also those that were defaults when the
 bag was recorded. All of these values are used, so that the defaults of today apply only to parameters that did not
-exist then. Where the provenance says nothing, the custom data of the bag decide, and where these say nothing either,
-the parameter events of the nodes. Three kinds of values are exceptions:
+exist then, except for those without which nodes worked in another way (`renamed.BEFORE`). Where the provenance says
+nothing, the custom data of the bag decide, and where these say nothing either, the parameter events of the nodes. Three
+kinds of values are exceptions:
 
 - Files. The provenance alone is no reason to open or write a file, for its path (`Setting.names_file`) may belong to
   another machine; custom data and parameter events decide on these parameters. A replay goes on without a file that
@@ -38,8 +39,8 @@ from sal_height.bag.reader import BagReader
 from sal_height.engine.registry import STAGES, takes_heights
 from sal_height.errors import UserError
 from sal_height.graph.catalogue import HEIGHTS, SETTABLE, TRACKER, NodeParameters, check_parameters, placed
-from sal_height.graph.reporting import PARAMETERS, merged
-from sal_height.renamed import ENDED, with_new_names
+from sal_height.graph.reporting import PARAMETERS, PRESET, merged
+from sal_height.renamed import BEFORE, ENDED, with_new_names
 from sal_height.runs.chain.timeline import (
     EVENT,
     PROVENANCE,
@@ -199,6 +200,10 @@ def recorded_at_start(
     for source, layer in layers:  # the later ones replace the earlier ones
         values = merged(values, layer)
         sources |= dict.fromkeys(parameters_in(layer), source)
+    # The provenance, and the custom data of a simulated flight, state all that nodes had.
+    before = _before(values, merged(stated[PROVENANCE], custom if PRESET in reader.custom_data else {}))
+    values = merged(values, before)
+    sources |= dict.fromkeys(parameters_in(before), PROVENANCE)
     unmade = {parameter: value for parameter, value in unmade.items() if parameter not in sources}
     return RecordedParameters(reader.path, values, sources, unmade)
 
@@ -212,6 +217,14 @@ def _is_unmade(parameter: Parameter, value: Any, made: Collection[str]) -> bool:
     """True if a value names heights that are not made."""
     names_heights = parameter.name == "estimator" and takes_heights(STAGES[parameter.node])
     return names_heights and isinstance(value, str) and value not in made
+
+
+def _before(values: NodeParameters, stated: NodeParameters) -> dict[str, dict[str, Any]]:
+    """Values of parameters that nodes with stated values did not have yet, with which they work as they did then."""
+    return {
+        node: {name: value for name, value in BEFORE[node].items() if name not in values[node]}
+        for node in BEFORE.keys() & stated.keys()
+    }
 
 
 def _unlike(stated: NodeParameters, others: NodeParameters) -> dict[str, dict[str, Any]]:

@@ -125,7 +125,9 @@ def _observe(run: BagRun, estimator: str) -> Iterator[ObservedDwell]:
         if isinstance(item, Images):
             images[item.key] = item
         elif isinstance(item, Heights) and (source := images.pop(item.key).source) is not None:
-            track = correct_track(Trajectory(source.states, motion=source.settings.motion), source.settings)
+            settings = source.settings
+            track = Trajectory(source.states, motion=settings.motion, accuracy=settings.accuracy.with_assumed)
+            track = correct_track(track, settings)
             try:
                 yield ObservedDwell.of(item.field, source.slc, source.sensor, track, source.pulses, run.scheme.epoch_ns)
             except Rejected as few:

@@ -12,6 +12,7 @@ from typing import Any
 import yaml
 
 from sal_height.engine.registry import STAGES, takes_images
+from sal_height.engine.track import ACCURACY
 from sal_height.errors import UserError
 from sal_height.graph.air import check_air
 from sal_height.graph.catalogue import (
@@ -112,11 +113,16 @@ def fly(preset: Preset, seed: int, out: Path, parameters: NodeParameters, execut
 
 
 def parameters_of_flight(flight: SimulatedFlight, estimators: list[str]) -> dict[str, dict[str, Any]]:
-    """Parameters of the nodes that follow from a preset: size of its images, looks, and position on the earth."""
+    """Parameters of the nodes that follow from a preset.
+
+    They are the size of its images, looks, position on the earth, and the accuracy of its odometry, whose covariances
+    are zeros where it is exact.
+    """
     preset = flight.preset
+    odometry = {name: getattr(flight.odometry_accuracy, number) for name, number in ACCURACY.items()}
     looks = {"range_looks": preset.looks[0], "azimuth_looks": preset.looks[1]}
     own = {
-        "sar_compression": {"rows": preset.image.rows, "cols": preset.image.cols},
+        "sar_compression": {"rows": preset.image.rows, "cols": preset.image.cols, **odometry},
         **{name: dict(looks) for name in estimators if name in HEIGHTS and takes_images(STAGES[name])},
     }
     return merged(merged(own, consumers(estimators)), placed(flight.scene.origin))

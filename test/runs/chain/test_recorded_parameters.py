@@ -24,7 +24,7 @@ from sal_height.geometry import Origin
 from sal_height.graph.catalogue import SETTABLE, consumers, parameters_of
 from sal_height.graph.plan import DwellChanges
 from sal_height.messages.types import ComplexImage
-from sal_height.renamed import with_new_names
+from sal_height.renamed import BEFORE, with_new_names
 from sal_height.runs.chain.chain_runs import plan
 from sal_height.runs.chain.entry import FROM_HEIGHTS, IMAGES, WHOLE, Part, ReplayNodes, chain_of
 from sal_height.runs.chain.recorded_parameters import recorded_parameters
@@ -80,7 +80,8 @@ def stated_in(bag: Path) -> dict[str, dict[str, Any]]:
 @pytest.mark.usefixtures("other_defaults")
 @pytest.mark.parametrize("name", ALL)
 def test_the_values_of_a_bag_do_not_depend_on_the_defaults_of_today(name: str) -> None:
-    """Of `replay`, `batch` and `live`; a parameter that did not exist then has the default of today."""
+    """Of `replay`, `batch` and `live`; a parameter that did not exist then has the default of today, if any default
+    leaves the node as it was."""
     stated = stated_in(BAGS / name)
     assert stated.keys() >= {"sar_compression"}
     reader = WHOLE.open(BAGS / name)
@@ -88,7 +89,8 @@ def test_the_values_of_a_bag_do_not_depend_on_the_defaults_of_today(name: str) -
     processing = processing_of(reader, chain, WHOLE, consumers(chain.makers), {})
     scheme = plan(BAGS / name, {})
     live = Feed.of_bag(BAGS / name).parameters
-    for node, values in stated.items():
+    for node, recorded in stated.items():
+        values = {**BEFORE.get(node, {}), **recorded}
         for found in (processing.values, scheme.values, live):
             assert parameters_of(node, found[node]) == parameters_of(node, values)
             assert all(
@@ -130,6 +132,28 @@ def test_provenance_decides_before_custom_data_and_these_before_events(tmp_path:
     }
     assert {name: (found.values["ml_height"][name], found.sources["ml_height"][name]) for name in expected} == expected
     assert found.values["ml_height"].keys() == expected.keys()
+
+
+def test_odometry_is_exact_in_bags_of_before_it_could_be_stated(tmp_path: Path) -> None:
+    """Where provenance, or a simulated flight, states other parameters; all else has the default of today."""
+    other, name = {"rows": 8}, "odometry_heading_sigma_rad"
+    image, custom_data = heights(0, sar_compression=other), custom(sar_compression=other)
+    cases = (
+        ([image], {}, 0.0),
+        ([heights(0, sar_compression={**other, name: -1.0})], {}, -1.0),
+        ([], custom_data, None),
+        ([told("sar_compression", rows=8)], {}, None),
+        ([], {**custom_data, "preset": "{}"}, 0.0),
+        ([], {**custom(sar_compression={**other, name: 0.25}), "preset": "{}"}, 0.25),
+        ([], {"preset": "{}"}, None),
+    )
+    for number, (items, stated, expected) in enumerate(cases):
+        found = processing(written(tmp_path / str(number), [*items, frame(0)], stated)).values
+        assert found.get("sar_compression", {}).get(name) == expected
+        if expected == 0.0:
+            assert {one: found["sar_compression"][one] for one in BEFORE["sar_compression"]} == BEFORE[
+                "sar_compression"
+            ]
 
 
 def test_values_that_differ_between_products_are_changes_in_flight(tmp_path: Path) -> None:

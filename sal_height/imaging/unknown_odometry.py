@@ -1,0 +1,96 @@
+"""Errors of odometry whose accuracy nobody states: they are assumed, and the images are doubted.
+
+What is stated decides on autofocus, checks and the placement of images. What is only assumed covers the error of the
+heights: it enters the covariance of the pose once the images are made.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sal_height.doubts import Doubt
+from sal_height.geometry import ASSUMED, ApertureState, antenna_covariance, rotation_matrix, shift_along
+from sal_height.imaging.corrections import Corrected
+from sal_height.imaging.focus import Slc
+from sal_height.imaging.pixels import line_of_sight
+from sal_height.numeric import F64
+
+UNKNOWN_ODOMETRY = "odometry of unknown accuracy"
+"""Name of the doubt."""
+
+
+@dataclass(frozen=True)
+class _Quantity:
+    """A quantity of odometry that has an accuracy.
+
+    Attributes:
+        name: name of the quantity.
+        assumed: assumed accuracy, with its unit.
+        parameter: name of the parameter of the compression that states it.
+        axes: place of its axes among those of `geometry.accuracy`.
+    """
+
+    name: str
+    assumed: str
+    parameter: str
+    axes: slice
+
+
+_QUANTITIES = (
+    _Quantity("position", f"{ASSUMED.position_m:g} m", "odometry_position_sigma_m", slice(0, 3)),
+    _Quantity("roll and pitch", f"{ASSUMED.attitude_rad:g} rad", "odometry_attitude_sigma_rad", slice(3, 5)),
+    _Quantity("heading", f"{ASSUMED.heading_rad:g} rad", "odometry_heading_sigma_rad", slice(5, 6)),
+    _Quantity("velocity", f"{ASSUMED.velocity_mps:g} m/s", "odometry_velocity_sigma_mps", slice(6, 9)),
+)
+
+
+def with_unknown_odometry(slc: Slc, dwell: Corrected) -> Slc:
+    """Images with the errors in the covariance of their pose that are assumed of odometry of unknown accuracy.
+
+    They are the same images if all of it is stated.
+
+    Args:
+        slc: images.
+        dwell: dwell, or block that completed the images of a strip.
+    """
+    history, track, sensor, _ = dwell
+    variances = track.assumed(history.stamp_ns, history.pulse_times)
+    if not variances.any():
+        return slc
+    aperture, sight = slc.aperture, line_of_sight(sensor, slc.aperture)
+    orientation = track.nearest(history.stamp_ns, history.pulse_times).orientation
+    pose = antenna_covariance(np.diag(variances[:6]), orientation, sensor.mounting)
+    # An error of the velocity moves the image along the flight, unless the image was placed by the data.
+    speed = _deviation(variances[6:], rotation_matrix(orientation).T @ sight)
+    pointing = _deviation(variances[3:6], np.cross(sight, aperture.velocity))
+    slant_range = float(history.reference_range[len(history.reference_range) // 2])
+    pose[:3, :3] += _moved(slc.placement.residual_speed(speed, pointing), aperture, sight, slant_range)
+    return replace(
+        slc,
+        aperture=replace(aperture, covariance=aperture.covariance + pose),
+        doubts=(*slc.doubts, Doubt(UNKNOWN_ODOMETRY, _describe(variances))),
+    )
+
+
+def _deviation(variances: F64, direction: F64) -> float:
+    """Standard deviation of the component along a vector, times its length, from the variances along the axes."""
+    return float(np.sqrt(variances @ direction**2))
+
+
+def _moved(speed: float, aperture: ApertureState, sight: F64, slant_range: float) -> F64:
+    """Covariance of the position of images by an error of the velocity along the line of sight, m^2, shape (3, 3)."""
+    along = speed * slant_range / np.linalg.norm(aperture.velocity) * shift_along(aperture, sight)
+    return np.outer(along, along)
+
+
+def _describe(variances: F64) -> str:
+    unknown = [one for one in _QUANTITIES if variances[one.axes].any()]
+    names, parameters = (", ".join(getattr(one, name) for one in unknown) for name in ("name", "parameter"))
+    assumed = ", ".join(f"{one.name} {one.assumed}" for one in unknown)
+    return (
+        f"The covariances of the odometry do not state the accuracy of: {names} (a variance is zero, negative or NaN, "
+        f"or all axes have one number that is no measurement). These standard deviations are assumed: {assumed}. "
+        f"State them in the covariances, or by the parameters {parameters} of sar_compression; 0: exact."
+    )

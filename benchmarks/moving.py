@@ -61,7 +61,8 @@ def images_of(flight: SimulatedFlight, histories: Sequence[PhaseHistory]) -> lis
     for dwell, history in enumerate(histories):
         states += flight.platform_states(dwell)
         settings = ImageSettings(rows=image.rows, cols=image.cols)
-        slc = compressor.add(history, Trajectory(states), flight.sensor, settings)
+        track = Trajectory(states, accuracy=flight.odometry_accuracy)
+        slc = compressor.add(history, track, flight.sensor, settings)
         images += [slc] if slc else []
     return images
 

@@ -18,7 +18,6 @@ from benchmarks.sizes import APERTURE, COLS, PRESET, ROWS, heights_of_street, li
 from benchmarks.stage_jobs import job_of, read_items
 from sal_height import messages
 from sal_height.elevation import ESTIMATORS, ElevationEstimator, HeightSettings
-from sal_height.geometry import Trajectory
 from sal_height.imaging import ImageSettings, Slc
 from sal_height.messages import serialize
 from sal_height.messages.types import ChannelFrame, Header, Provenance
@@ -163,7 +162,7 @@ def _tracker_and_mapper(graph: Graph) -> Iterator[Row]:
 def _images(flight: SimulatedFlight) -> Slc:
     preset = load_preset(flight.sensor.name)
     image = ImageSettings(rows=preset.image.rows, cols=preset.image.cols)
-    slc = Compressor().add(flight.phase_history(0), Trajectory(flight.platform_states(0)), flight.sensor, image)
+    slc = Compressor().add(flight.phase_history(0), flight.track(0), flight.sensor, image)
     if slc is None:
         raise RuntimeError(f"Preset {preset.name} makes no image of one dwell.")
     return slc

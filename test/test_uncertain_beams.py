@@ -11,7 +11,6 @@ from helpers import BEAMWIDTH, circular, flat_scene
 from sal_height.beams import BeamTable, detector_pattern
 from sal_height.calibration import Calibration
 from sal_height.elevation import ESTIMATORS, MEASURED, ElevationEstimate, MlSettings, Validity
-from sal_height.geometry import Trajectory
 from sal_height.imaging import ImageSettings, Slc
 from sal_height.pipeline import Compressor, elevations, heights
 from sal_height.sensor import Sensor
@@ -40,9 +39,7 @@ def level() -> tuple[Sensor, Slc]:
     preset = load_preset("small")
     preset = replace(preset, dwells=1, cnr_db=50.0, sensor=replace(preset.sensor, detectors=CHANNELS))
     flight = replace(flight_of(preset, seed=1), scene=flat_scene(half=20.0))
-    slc = Compressor().add(
-        flight.phase_history(0), Trajectory(flight.platform_states(0)), flight.sensor, ImageSettings(rows=46, cols=12)
-    )
+    slc = Compressor().add(flight.phase_history(0), flight.track(0), flight.sensor, ImageSettings(rows=46, cols=12))
     assert slc
     return flight.sensor, slc
 

@@ -46,7 +46,9 @@ def strip(seed: int, *points: PointScatterer, dwells: int = 4, wrong: float = 0.
     compressor, states, images = Compressor(), [], []
     for dwell in range(dwells):
         states += drifted(flight.platform_states(dwell), -wrong)
-        slc = compressor.add(flight.phase_history(dwell), Trajectory(states), flight.sensor, settings)
+        slc = compressor.add(
+            flight.phase_history(dwell), Trajectory(states, accuracy=flight.odometry_accuracy), flight.sensor, settings
+        )
         images += [slc] if slc else []
     return flight, images
 

@@ -14,7 +14,7 @@ from chain_fixture import DETECTORS, START_NS, StageChain, heights_of_messages, 
 from sal_height import messages
 from sal_height.engine.frame_items import check_frame
 from sal_height.errors import Rejected
-from sal_height.geometry import Motion, Trajectory
+from sal_height.geometry import Motion
 from sal_height.imaging import ImageSettings
 from sal_height.messages import deserialize, serialize
 from sal_height.messages.frames import frame_of
@@ -71,7 +71,7 @@ def good_frame(flight: SimulatedFlight) -> bytes:
 @pytest.fixture(scope="module")
 def good_image(flight: SimulatedFlight) -> bytes:
     """A serialised image of channel 0."""
-    history, track = flight.phase_history(0), Trajectory(flight.platform_states(0))
+    history, track = flight.phase_history(0), flight.track(0)
     slc = Compressor().add(history, track, flight.sensor, ImageSettings(rows=46, cols=12))
     assert slc
     frame = messages.history_to_messages(history, flight.sensor, 0, messages.to_stamp(START_NS))[0]

@@ -10,7 +10,6 @@ from helpers import assert_one_sentence
 
 from sal_height.elevation import ESTIMATORS, Validity
 from sal_height.errors import Rejected, UserError
-from sal_height.geometry import Trajectory
 from sal_height.imaging import ImageSettings, Slc
 from sal_height.pipeline import Compressor, channel_sets, heights
 from sal_height.relief import HeightField
@@ -31,7 +30,7 @@ def blanked() -> tuple[Sensor, Slc]:
     flight, size = flight_of(preset, seed=1), preset.image
     slc = Compressor().add(
         flight.phase_history(0),
-        Trajectory(flight.platform_states(0)),
+        flight.track(0),
         flight.sensor,
         ImageSettings(rows=size.rows, cols=size.cols),
     )

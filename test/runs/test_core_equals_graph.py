@@ -11,7 +11,7 @@ import numpy as np
 from sal_height import messages
 from sal_height.bag.reader import BagReader
 from sal_height.elevation import ESTIMATORS
-from sal_height.geometry import Trajectory
+from sal_height.geometry import EXACT, Trajectory
 from sal_height.imaging import ImageSettings
 from sal_height.pipeline import Compressor, heights
 from sal_height.runs.chain.recorded_parameters import recorded_parameters
@@ -39,7 +39,9 @@ def compared_heights(bag: Path) -> int:
     for message in reader.messages([topic for topic in reader.topics if topic != "/diagnostics"]):
         found[message.topic].append(reader.decode(message.type_name, message.cdr))
     sensor = messages.sensor_from_message(found["/sensor_info"][0])
-    track = Trajectory([messages.state_from_message(message) for message in found["/platform/odometry"]])
+    track = Trajectory(
+        [messages.state_from_message(message) for message in found["/platform/odometry"]], accuracy=EXACT
+    )
     size = recorded_parameters(reader)["sar_compression"]
     settings = ImageSettings(rows=size["rows"], cols=size["cols"])
     compressor, compared = Compressor(), 0

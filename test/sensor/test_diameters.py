@@ -17,7 +17,6 @@ from sal_height.elevation import ESTIMATORS, ElevationEstimator, MlSettings
 from sal_height.elevation.looks.looks import Looks
 from sal_height.elevation.monopulse.pairs import MonopulseSettings
 from sal_height.errors import Rejected, UserError
-from sal_height.geometry import Trajectory
 from sal_height.imaging import ImageSettings
 from sal_height.imaging.checks import check_pulses
 from sal_height.imaging.pixels import Processing, slant_plane_size
@@ -136,7 +135,7 @@ def test_simulated_heights_are_as_good_with_another_azimuth_diameter(azimuth: fl
     preset = load_preset("small")
     mounted = replace(preset.sensor, azimuth_aperture_m=azimuth, pulse_repetition_frequency_hz=31e3)
     flight = flight_of(replace(preset, dwells=1, sensor=mounted), seed=1)
-    slc = Compressor().add(flight.phase_history(0), Trajectory(flight.platform_states(0)), flight.sensor, IMAGE)
+    slc = Compressor().add(flight.phase_history(0), flight.track(0), flight.sensor, IMAGE)
     assert slc
     field = heights(slc, flight.sensor, ESTIMATORS["ml"], MlSettings())
     east, north = field.first.positions[..., 0], field.first.positions[..., 1]

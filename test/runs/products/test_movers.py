@@ -86,12 +86,11 @@ def test_a_bag_whose_dwells_tell_no_movers_is_refused_and_of_what_is_dim_a_sente
 def test_what_the_compression_warns_of_is_told_once_and_counted(tmp_path: Path) -> None:
     """As the node counts it: odometry in doubt, phase that is not to be trusted, a strip without an image yet."""
     bag = rewritten(recorded(tmp_path / "dwells", "small", dwells=3), tmp_path / "doubted", without_covariance)
-    _, warnings = find_in_bag(bag, tmp_path / "odometry")
-    assert report_of(tmp_path / "odometry")["warned"] == {"sar_compression: odometry": 3}
+    unknown, kind = {"sar_compression": {"odometry_velocity_sigma_mps": -1.0}}, "odometry of unknown accuracy"
+    _, warnings = find_in_bag(bag, tmp_path / "odometry", unknown)
+    assert report_of(tmp_path / "odometry")["warned"] == {f"sar_compression: {kind}": 3}
     (said,) = [one for one in warnings if "odometry" in one]
-    assert said.startswith(
-        "There is a warning on 3 of 3 dwells (sar_compression: odometry). Dwell 0: The covariance of"
-    )
+    assert said.startswith(f"There is a warning on 3 of 3 dwells (sar_compression: {kind}). Dwell 0: The covariances")
     noisy = recorded(tmp_path / "noisy", "small", dwells=3, cnr_db=-25.0)
     _, warnings = find_in_bag(noisy, tmp_path / "autofocus", {"sar_compression": {"autofocus": "always"}})
     assert report_of(tmp_path / "autofocus")["warned"] == {"sar_compression: autofocus": 3}

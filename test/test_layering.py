@@ -58,7 +58,7 @@ KNOWING_MESSAGES = ("messages", "bag", "imports")
 
 ROOMS = (
     *("elevation.looks", "elevation.array", "elevation.layover", "elevation.monopulse", "elevation.vegetation"),
-    "elevation.estimators",
+    *("elevation.fit", "elevation.estimators"),
     *("nodes.transport", "nodes.accounts", "nodes.playing", "nodes.recording"),
     *("runs.chain", "runs.responses", "runs.truth", "runs.replay", "runs.campaign", "runs.products", "runs.live"),
 )

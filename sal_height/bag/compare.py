@@ -33,8 +33,8 @@ EDGES: F64 = np.concatenate([[0.0], 10.0 ** (np.arange(-20 * 20, 20 * 20 + 1) / 
 EQUAL, WITHIN, CHANGED = "equal", "within tolerance", "changed"
 """Verdicts, the best first."""
 
-NOT_COMPARED = frozenset({"provenance", "order"})
-"""Fields of messages that describe their making, not their result."""
+NOT_COMPARED = frozenset({"provenance", "order", "doubts", "fit"})
+"""Fields of messages that describe their making, or judge their result: a bag may be older than a test of its data."""
 
 NOTHING: NDArray[Any] = np.zeros(0)
 
@@ -318,7 +318,7 @@ def compare_bags(
 ) -> dict[str, TopicComparison]:
     """Match the messages of two bags by topic and dwell, and compare their fields.
 
-    Provenance and the order of processing are not compared.
+    Provenance, the order of processing, doubts and tests of the data are not compared.
 
     Args:
         golden: bag with the expected messages.

@@ -146,13 +146,13 @@ class HeightStage(ImageStage):
             yield results
 
     def _products(self, images: Images, field: HeightField, sensor: Sensor, settings: Any) -> Iterator[Result]:
-        """The heights, and a warning where samples were clipped."""
-        slc = images.slc
+        """The heights, and warnings where samples were clipped or do not fit the description of the sensor."""
+        slc, number = images.slc, images.key.number
         if np.any(field.validity == Validity.SATURATED):
             fraction, limit = slc.saturated_share.max(), settings.max_saturated_fraction
             yield Notice(
                 "saturated",
-                f"Dwell {images.key.number}: {fraction:.3g} of a channel's samples are clipped; heights need {limit:g} "
+                f"Dwell {number}: {fraction:.3g} of a channel's samples are clipped; heights need {limit:g} "
                 "or less (max_saturated_fraction).",
                 images.key,
             )
@@ -166,9 +166,11 @@ class HeightStage(ImageStage):
             looks=(settings.range_looks, settings.azimuth_looks),
             provenance=images.provenance.derived(self.name, used),
             order=images.order,
-            doubts=images.doubts,
+            doubts=(*images.doubts, *field.doubts),
+            fit=(*images.fit, *field.fit),
             **packed(field),
         )
+        yield from (Notice(doubt.name, f"Dwell {number}: {doubt.sentence}", images.key) for doubt in field.doubts)
         yield Product(f"{self.estimator.name}/height", heights)
 
 

@@ -1,7 +1,7 @@
 """From the phase history of a dwell to its heights: the whole procedure, to be read from top to bottom.
 
-Steps 1 to 5 make the images of all channels (`Compressor`), steps 6 to 15 the heights of these images by one estimator
-(`heights`; `heights_of_dwells` takes several dwells at once). Step 16, which follows the relief from dwell to dwell, is
+Steps 1 to 5 make the images of all channels (`Compressor`), steps 6 to 16 the heights of these images by one estimator
+(`heights`; `heights_of_dwells` takes several dwells at once). Step 17, which follows the relief from dwell to dwell, is
 `relief.track`.
 
 All of it is the same to the last bit for a dwell alone and among others, and for any number of threads.
@@ -44,6 +44,7 @@ from sal_height.imaging import (
 )
 from sal_height.numeric import Bool, Index, one_blas_thread
 from sal_height.pipeline.channels import channel_sets, channels_and_beams, live_channels
+from sal_height.pipeline.fit import DwellFit, fit_of
 from sal_height.pipeline.strip import StripBuffer
 from sal_height.relief import HeightField, height_field, joined_rows, level_turn
 from sal_height.sensor import PhaseHistory, Sensor, count_saturated, range_compressed
@@ -164,13 +165,21 @@ def heights_of_dwells(
     # 11  Elevation from the ratios between channels.
     estimates = estimator.estimate_dwells([(seen.looks, seen.beams) for *_, seen in parts], settings)
     fields: list[list[tuple[Bool, HeightField]]] = [[] for _ in slcs]
+    fits: list[list[tuple[int, DwellFit]]] = [[] for _ in slcs]
     for (number, rows, seen), estimate in zip(parts, estimates, strict=True):
         judged, grid, aperture = _judge(estimate, seen, settings), slcs[number].grid, slcs[number].aperture
         # 15  Range, Doppler and elevation give the position on the ground.
         side, velocity = sensor.look_side, settings.radial_velocity_mps
         field = height_field(judged, seen.looks, grid, seen.grid, aperture, side, velocity, seen.beams)
         fields[number].append((rows, field))
-    return [joined_rows(of_dwell) for of_dwell in fields]
+        # 16  Tests of the data, where a single scatterer was fitted; clipped samples do not fit anything.
+        residue = None if seen.saturated_share > settings.max_saturated_fraction else estimate.residue
+        fit = fit_of(residue, seen.looks, seen.beams, seen.channels, sensor, settings)
+        fits[number].append((int(np.count_nonzero(rows)), fit))
+    # Where receivers are blanked, the tests are those of the rows that most of the pixels are in.
+    most = [max(of_dwell, key=lambda part: part[0])[1] for of_dwell in fits]
+    joined = (joined_rows(of_dwell) for of_dwell in fields)
+    return [replace(field, fit=fit.tests, doubts=fit.doubts) for field, fit in zip(joined, most, strict=True)]
 
 
 @one_blas_thread()
@@ -212,6 +221,7 @@ class _Observed:
         grid: grid of the height pixels.
         response: response of the images.
         saturated_share: greatest fraction of clipped samples of a channel.
+        channels: numbers of the channels, as long as they are not mixed.
     """
 
     looks: Looks
@@ -219,6 +229,7 @@ class _Observed:
     grid: Grid
     response: CellResponse
     saturated_share: float
+    channels: Index
 
 
 def _observe(
@@ -242,7 +253,7 @@ def _observe(
     response = cell_response(slc, sensor)
     turn = level_turn(float(np.mean(beams.span)), slc.grid, slc.aperture, sensor.look_side)
     looks = windowed_looks(images, settings.windows, squint, channels, beams.is_complex, response, turn)
-    return _Observed(looks, beams, grid, response, float(slc.saturated_share[used].max()))
+    return _Observed(looks, beams, grid, response, float(slc.saturated_share[used].max()), used)
 
 
 def _judge(estimate: ElevationEstimate, seen: _Observed, settings: HeightSettings) -> ElevationEstimate:

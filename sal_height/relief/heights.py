@@ -8,6 +8,7 @@ from typing import Self
 import numpy as np
 
 from sal_height.beams import Beams
+from sal_height.doubts import Doubt, FitTest
 from sal_height.elevation import (
     ElevationEstimate,
     Looks,
@@ -192,12 +193,16 @@ class HeightField:
         surfaces: the strongest scatterer of the pixels that have a height, with the `cnr_db` of all pixels that have a
             signal; then as many weaker ones as were searched for.
         order_probability: probability of each order, as in `ElevationEstimate`; None: not estimated.
+        fit: tests of the data that they were estimated from.
+        doubts: reasons to distrust them.
     """
 
     grid: Grid
     validity: U8
     surfaces: tuple[Surface, ...]
     order_probability: F64 | None = None
+    fit: tuple[FitTest, ...] = ()
+    doubts: tuple[Doubt, ...] = ()
 
     @property
     def first(self) -> Surface:

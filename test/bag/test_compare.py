@@ -16,7 +16,7 @@ from sal_height.bag.topics import HEIGHT_TYPE
 from sal_height.bag.writer import BagWriter
 from sal_height.errors import UserError
 from sal_height.messages import serialize
-from sal_height.messages.types import ChannelFrame, DiagnosticArray, HeightImage, Odometry, Surface
+from sal_height.messages.types import ChannelFrame, DiagnosticArray, Doubt, FitTest, HeightImage, Odometry, Surface
 
 ROWS, COLS = 3, 4
 FLOAT_FIELDS = ("height", "sigma", "cnr_db", "east", "north")
@@ -74,6 +74,13 @@ def test_equal_bags_are_equal_whatever_the_provenance_and_the_order(bags: Bags) 
         assert one.hashes[0] == one.hashes[1] != ""
         assert one.fields["surfaces[0].height"].greatest == 0
     assert result["/ml/height"].hashes != result["/monopulse/height"].hashes
+
+
+def test_a_bag_that_is_older_than_the_tests_of_its_data_is_equal_to_one_that_has_them(bags: Bags) -> None:
+    tested = image()
+    tested.doubts = [Doubt(name="noise level", size=3.0)]
+    tested.fit = [FitTest(name="noise level", size=3.0), FitTest(name="channel gain", channel=1)]
+    assert bags.compare([image()], [tested]).verdict == bags.compare([tested], [image()]).verdict == EQUAL
 
 
 @pytest.mark.parametrize("name", [*FLOAT_FIELDS, "validity"])

@@ -10,9 +10,12 @@ from flown_items import SMALL, flight_items, heights_in, made, ml_stage, small_f
 
 from sal_height.adjustment import References
 from sal_height.engine.adjuster import FlightAdjuster, HeightAdjuster
+from sal_height.engine.chain import Chain
 from sal_height.engine.compression import Compression, CompressionSettings
+from sal_height.engine.frame_items import Frame
 from sal_height.engine.height_items import Heights
-from sal_height.topics import ODOMETRY
+from sal_height.engine.stage import Notice, Product
+from sal_height.topics import ODOMETRY, PHASE_HISTORY
 
 
 def test_heights_have_the_doubts_about_their_images() -> None:
@@ -52,3 +55,25 @@ def test_the_adjustment_counts_what_is_assumed_as_stated() -> None:
     np.testing.assert_allclose(sigmas[0], expected, rtol=0.02)
     assert np.all(sigmas[1] < 0.1)
     np.testing.assert_array_equal(sigmas[1], sigmas[2])
+
+
+def test_data_that_contradict_the_description_are_a_doubt_and_a_warning() -> None:
+    """Samples ten times as large as those that the description states the noise power of."""
+    items = flight_items(small_flight(), dwells=[0])
+    items = [(port, louder(item) if port == PHASE_HISTORY else item) for port, item in items]
+    settings, ml = CompressionSettings(**{**SMALL, "rows": 46, "cols": 12}), ml_stage()
+    chain = Chain([Compression(settings), ml], [settings, type(ml).settings()])
+    steps = (chain.start(), *(chain.feed(*item) for item in items), chain.finish())
+    results = [one.result for step in steps for one in step]
+    notices = [result for result in results if isinstance(result, Notice)]
+    heights = next(result.item for result in results if isinstance(result, Product) and result.port == "ml/height")
+    (doubt,) = heights.doubts
+    assert doubt.name == "noise level"
+    assert abs(doubt.size - 20) < 1
+    assert [test.name for test in heights.fit] == ["noise level", *["channel gain"] * 8]
+    assert [(notice.kind, notice.sentence) for notice in notices] == [("noise level", f"Dwell 0: {doubt.sentence}")]
+
+
+def louder(frame: Frame) -> Frame:
+    """The frame with samples of ten times the amplitude."""
+    return frame._replace(samples=(np.float32(10) * frame.samples.view(np.float32)).view(np.uint8))

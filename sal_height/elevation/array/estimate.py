@@ -79,6 +79,23 @@ class Scatterer:
         return Scatterer(*(np.where(there, mine, theirs) for mine, theirs in values))
 
 
+@dataclass(frozen=True, eq=False)
+class Residue:
+    """A single scatterer fitted to each pixel, whatever is there, and one more; arrays (rows, cols), finite.
+
+    Powers are sums over the looks, in units of the receivers' noise power.
+
+    Attributes:
+        elevation: elevation of the single scatterer, rad.
+        explained: power that it explains.
+        beside: greatest power that one more scatterer, or a spread of the single one, would explain.
+    """
+
+    elevation: F64
+    explained: F64
+    beside: F64
+
+
 @dataclass(frozen=True)
 class ElevationEstimate:
     """Elevations of the scatterers in every pixel.
@@ -89,11 +106,13 @@ class ElevationEstimate:
         validity: `Validity` of each pixel, uint8, shape (rows, cols).
         order_probability: probability of 0, 1, 2 and 3 scatterers and of one extended surface, with the sum 1, shape
             (rows, cols, ORDERS); NaN where it was not estimated. None: not estimated.
+        residue: fit of a single scatterer, for tests of the data; None: there are none of this estimator.
     """
 
     scatterers: tuple[Scatterer, ...]
     validity: U8
     order_probability: F64 | None = None
+    residue: Residue | None = None
 
     @classmethod
     def of_one(cls, elevation: F64, sigma: F64, cnr: F64, validity: U8) -> Self:

@@ -21,7 +21,14 @@ from sal_height.beams import Beams
 from sal_height.elevation.array._kernels import NEAR_HIGHEST
 from sal_height.elevation.array.beam_error import beam_deviation
 from sal_height.elevation.array.bounds import stochastic_deviation, unit_vectors
-from sal_height.elevation.array.estimate import ElevationEstimate, Validity, array_fit, decide_validity, detection_limit
+from sal_height.elevation.array.estimate import (
+    ElevationEstimate,
+    Residue,
+    Validity,
+    array_fit,
+    decide_validity,
+    detection_limit,
+)
 from sal_height.elevation.array.height_settings import HeightSettings
 from sal_height.elevation.array.search import Find, Objective, Peaks, PeakSearch, PeakSearches, Pixels
 from sal_height.elevation.looks.looks import Covariance, Looks
@@ -137,6 +144,11 @@ class SinglePeaks:
         """Scatterers without a search for other peaks or scatterers."""
         none = np.zeros_like(explained)
         return cls(elevation, np.full_like(explained, np.inf), explained, array_power, turning, none, none)
+
+    @property
+    def residue(self) -> Residue:
+        """The fit as tests of the data need it."""
+        return Residue(self.elevation, self.explained, np.maximum(self.beside, self.along_slope))
 
     def over(self, noise: F64) -> Self:
         """The same with powers in units of `noise`, a power of every pixel in units of the receivers'."""

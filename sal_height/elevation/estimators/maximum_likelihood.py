@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from sal_height.beams import Beams
@@ -57,7 +59,9 @@ def _exact_elevation(looks: Looks, beams: Beams, settings: MlSettings) -> Elevat
     estimate = estimate_of(peaks, looks, beams, settings)
     if beams.count == 2:
         return in_two_channels(estimate, peaks, looks, beams, settings)
-    return resolve(estimate, peaks, looks, beams, settings) if settings.layover else estimate
+    if not settings.layover:
+        return estimate
+    return replace(resolve(estimate, peaks, looks, beams, settings), residue=peaks.residue)
 
 
 def _by_numerator(exact: ElevationEstimate, looks: Looks, beams: Beams) -> ElevationEstimate:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from sal_height.beams import Beams
-from sal_height.elevation.array.estimate import ElevationEstimate, Scatterer
+from sal_height.elevation.array.estimate import ElevationEstimate, Residue, Scatterer
 from sal_height.elevation.array.height_settings import HeightSettings
 from sal_height.elevation.estimators.maximum_likelihood import MlSettings, ml_elevation
 from sal_height.elevation.estimators.spectra import CaponSettings, MusicSettings, capon_elevation, music_elevation
@@ -78,11 +78,14 @@ def _apart(estimate: ElevationEstimate, columns: DwellColumns) -> list[Elevation
     parts = [[columns.split(getattr(one, f.name)) for f in fields(one)] for one in estimate.scatterers]
     validity, chances = columns.split(estimate.validity), estimate.order_probability
     of_orders = None if chances is None else columns.split(chances)
+    residue = estimate.residue
+    residues = [columns.split(getattr(residue, f.name)) for f in fields(residue)] if residue else []
     return [
         ElevationEstimate(
             tuple(Scatterer(*(values[dwell] for values in of_one)) for of_one in parts),
             validity[dwell],
             None if of_orders is None else of_orders[dwell],
+            Residue(*(values[dwell] for values in residues)) if residues else None,
         )
         for dwell in range(columns.dwells)
     ]

@@ -68,7 +68,8 @@ def where_single(estimate: ElevationEstimate, elevation: F64, sigma: F64) -> Ele
     """Another elevation and its sigma where the estimate has a single surface, and no height where it has several."""
     several = np.isin(estimate.validity, (Validity.TWO_SCATTERERS, Validity.THREE_SCATTERERS))
     validity = np.where(several, Validity.NOT_ONE_SCATTERER, estimate.validity).astype(np.uint8)
-    return ElevationEstimate((replace(estimate.first, elevation=elevation, sigma=sigma),), validity)
+    first = replace(estimate.first, elevation=elevation, sigma=sigma)
+    return replace(estimate, scatterers=(first,), validity=validity, order_probability=None)
 
 
 def _chosen(

@@ -1,0 +1,177 @@
+"""Doubts about dwells that are as described, and about dwells that are not.
+
+Scenes of the group `honest` and a street, at the geometry of preset sal_spotlight, cut into dwells of its size.
+
+    python -m benchmarks fit                             rows with targets, into bench.json
+    python -m benchmarks.goodness_of_fit                 noise levels and gains that are found where nothing is wrong
+    python -m benchmarks.goodness_of_fit 8 1 12 street   with 8 detectors, 1 x 12 looks; some scenes
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from functools import lru_cache, partial
+from time import process_time, thread_time
+from typing import Any, NamedTuple
+from unittest.mock import patch
+
+import numpy as np
+
+from benchmarks import honest_scenes as scenes
+from benchmarks.direct_images import DirectImages, direct_images, lidar
+from benchmarks.row import Row, sized
+from sal_height.elevation import ESTIMATORS
+from sal_height.elevation.fit.noise_level import NOISE_LEVEL
+from sal_height.imaging import ImageSettings, Processing, Slc
+from sal_height.numeric import C64, F64
+from sal_height.pipeline import dwell, heights_of_dwells
+from sal_height.pipeline.fit import DwellFit, fit_of
+from sal_height.relief import HeightField
+from sal_height.simulation import Scene
+from sal_height.simulation.scenes import SCENES
+
+ROWS, COLS = 184, 12
+"""Of the images of a dwell, as in preset sal_spotlight."""
+
+DWELLS = sized(16, 2)
+"""Dwells of each scene, side by side in a wide image."""
+
+CNR_DB = (3, 5, 10, 20, 30, 40)
+
+SCENES_TRIED: dict[str, Callable[[], Scene]] = {
+    "level": scenes.level,
+    "street": SCENES["street"],
+    "forest": scenes.forest,
+    "canopy": scenes.canopy,
+    "roofs": scenes.roofs,
+    "fence": scenes.fence,
+    "rubble": scenes.rubble,
+    "slope +40 deg": partial(scenes.slope, np.radians(40)),
+    "slope -40 deg": partial(scenes.slope, np.radians(-40)),
+    **{f"step {size:+.1f}": partial(scenes.step, size) for size in (0.3, 0.5, 1.0, 3.0, -0.5, -1.0)},
+}
+
+SEED = 6
+
+
+class Fault(NamedTuple):
+    """A departure from the description.
+
+    Attributes:
+        noise_db: noise power over the stated one, dB.
+        gain_db: gain of each channel, dB; one for all.
+    """
+
+    noise_db: float = 0.0
+    gain_db: tuple[float, ...] = (0.0,)
+
+    def of(self, images: DirectImages) -> DirectImages:
+        """Images of a sensor that departs so."""
+        gain = np.broadcast_to(10 ** (np.array(self.gain_db) / 20), len(images.echoes)).astype(np.float32)
+        noise = np.float32(10 ** (self.noise_db / 20)) * images.noise
+        return replace(images, echoes=gain[:, None, None] * images.echoes, noise=noise)
+
+
+def _only(channel: int, gain_db: float, channels: int = 16) -> tuple[float, ...]:
+    return tuple(gain_db if m == channel else 0.0 for m in range(channels))
+
+
+NONE = Fault()
+FAULTS = {
+    "noise +1 dB": Fault(1.0),
+    "noise +3 dB": Fault(3.0),
+    "noise +26 dB": Fault(26.0),
+    "noise -3 dB": Fault(-3.0),
+    "channel 5 noise only": Fault(gain_db=_only(5, -200.0)),
+    "channel 5 +3 dB": Fault(gain_db=_only(5, 3.0)),
+    "gains 2 dB rms": Fault(gain_db=tuple(2.0 * np.random.default_rng(5).standard_normal(16))),
+}
+
+
+def dwells_of(
+    scene: str, fault: Fault, cnr_db: float, looks: tuple[int, int] = (2, 2), detectors: int = 16, dwells: int = DWELLS
+) -> list[HeightField]:
+    """Heights of dwells of a scene; the fault's noise is in addition to that of the CNR."""
+    images = fault.of(images_of(scene, detectors, dwells))
+    slc, sensor = images.slc(cnr_db), images.sensor
+    parts = [_columns(slc, first) for first in range(0, slc.images.shape[2], COLS)]
+    entry = ESTIMATORS["ml"]
+    return heights_of_dwells(parts, sensor, entry, entry.settings(range_looks=looks[0], azimuth_looks=looks[1]))
+
+
+@lru_cache(maxsize=1)
+def images_of(scene: str, detectors: int, dwells: int) -> DirectImages:
+    """Images of several dwells side by side."""
+    sensor, processing = lidar(dwells * COLS, detectors=detectors), Processing("taylor", ImageSettings().azimuth_window)
+    rng = np.random.default_rng(SEED)
+    return direct_images(SCENES_TRIED[scene](), sensor, (ROWS, dwells * COLS), processing, rng)
+
+
+def _columns(slc: Slc, first: int) -> Slc:
+    images: C64 = np.ascontiguousarray(slc.images[:, :, first : first + COLS])
+    origin: F64 = slc.grid.points(0, first)
+    return replace(slc, images=images, grid=replace(slc.grid, origin=origin, cols=COLS))
+
+
+def found() -> Iterator[Row]:
+    """Rows of the group: doubts about dwells that are as described, and doubts about those that are not."""
+    false, dwells = 0, 0
+    for scene in SCENES_TRIED:
+        for cnr_db in CNR_DB:
+            fields = dwells_of(scene, NONE, cnr_db)
+            false += sum(bool(field.doubts) for field in fields)
+            dwells += len(fields)
+    yield Row("dwells with a false doubt", false, f"of {dwells}", "<= 0", f"{len(SCENES_TRIED)} scenes, {CNR_DB} dB")
+    for name, fault in FAULTS.items():
+        for scene in ("level", "street"):
+            for cnr_db in (10, 20):
+                fields = dwells_of(scene, fault, cnr_db + max(fault.noise_db, 0.0))
+                share = 100 * float(np.mean([bool(field.doubts) for field in fields]))
+                yield Row(f"{name}: {scene} {cnr_db} dB", share, "%", ">= 50", "dwells with a doubt")
+    yield cost()
+
+
+def cost() -> Row:
+    """The time of the tests over that of the heights."""
+    images = images_of("street", 16, DWELLS)
+    entry, sensor, slc = ESTIMATORS["ml"], images.sensor, images.slc(20.0)
+    parts = [_columns(slc, first) for first in range(0, slc.images.shape[2], COLS)]
+    spent = [0.0]
+
+    def timed(*arguments: Any) -> DwellFit:
+        start = thread_time()
+        made = fit_of(*arguments)
+        spent[0] += thread_time() - start
+        return made
+
+    with patch.object(dwell, "fit_of", timed):
+        for _ in range(2):  # the first time tables are made
+            spent[0], start = 0.0, process_time()
+            for part in parts:
+                heights_of_dwells([part], sensor, entry, entry.settings())
+            whole = process_time() - start
+    return Row("time of the tests over that of ml", 100 * spent[0] / (whole - spent[0]), "%", "<= 3", "street, 20 dB")
+
+
+def table(names: Sequence[str], detectors: int, looks: tuple[int, int]) -> None:
+    """Print level and gains of the null for every scene and CNR."""
+    for scene in names or SCENES_TRIED:
+        for cnr_db in CNR_DB:
+            fields = dwells_of(scene, NONE, cnr_db, looks, detectors)
+            levels = np.array([test.size for field in fields for test in field.fit if test.name == NOISE_LEVEL])
+            gains = np.array([test.size for field in fields for test in field.fit if test.name != NOISE_LEVEL])
+            doubts = [doubt for field in fields for doubt in field.doubts]
+            known = levels[np.isfinite(levels)]
+            text = f"{known.min():+.2f} to {known.max():+.2f} dB" if len(known) else "not tested"
+            decibels = 20 * np.log10(gains[np.isfinite(gains) & (gains > 0)])
+            of_gain = f"{decibels.min():+.2f} to {decibels.max():+.2f} dB" if len(decibels) else "not tested"
+            sys.stdout.write(
+                f"{scene:14} {cnr_db:3} dB: level {text:20} ({len(known)}), gains {of_gain}, {len(doubts)} doubts\n"
+            )
+
+
+if __name__ == "__main__":
+    numbers = [int(word) for word in sys.argv[1:4]]
+    table(sys.argv[4:], numbers[0] if numbers else 16, (numbers[1], numbers[2]) if len(numbers) == 3 else (2, 2))

@@ -1,0 +1,149 @@
+"""Doubts about dwells that are not as described, and none about those that are."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from benchmarks.goodness_of_fit import FAULTS, NONE, Fault, dwells_of
+from sal_height.elevation import ESTIMATORS
+from sal_height.imaging import ImageSettings, Slc
+from sal_height.pipeline import Compressor, heights
+from sal_height.relief import HeightField
+from sal_height.sensor import Sensor
+from sal_height.simulation import flight_of, load_preset
+
+DWELLS = 3
+ML = ESTIMATORS["ml"]
+
+
+@pytest.mark.parametrize("scene", ["level", "street", "canopy", "step +1.0"])
+@pytest.mark.parametrize("cnr_db", [3, 10, 30, 40])
+def test_a_dwell_as_described_is_not_in_doubt(scene: str, cnr_db: float) -> None:
+    for field in dwells_of(scene, NONE, cnr_db, dwells=DWELLS):
+        assert not field.doubts
+        level, *gains = field.fit
+        assert (level.name, level.channel, level.unit) == ("noise level", -1, "dB")
+        assert [gain.channel for gain in gains] == list(range(16))
+        assert np.isnan(level.size) == np.isnan(level.p_value) == np.isnan(level.sigma)
+        assert not abs(level.size) > 0.6
+        assert np.isnan(level.size) or cnr_db < 40, "level ground fills range cells there"
+
+
+@pytest.mark.parametrize("scene", ["level", "street"])
+@pytest.mark.parametrize(("name", "noise_db"), [("noise +1 dB", 1), ("noise +3 dB", 3), ("noise -3 dB", -3)])
+def test_noise_of_another_power_is_found(scene: str, name: str, noise_db: float) -> None:
+    for field in dwells_of(scene, FAULTS[name], 10 + noise_db, dwells=DWELLS):
+        (doubt,) = field.doubts
+        assert doubt.name == "noise level"
+        assert doubt.size == pytest.approx(noise_db, abs=0.35)
+        assert doubt.p_value < 1e-5
+
+
+def test_counts_of_a_converter_are_said_with_both_numbers() -> None:
+    """Noise of 20 counts rms, whose power is left at 1."""
+    for field in dwells_of("street", FAULTS["noise +26 dB"], 46, dwells=DWELLS):
+        (doubt,) = field.doubts
+        stated, found = re.search(r"samples is (\S+) and .* states (\S+) ", doubt.sentence).group(2, 1)  # type: ignore[union-attr]
+        assert float(stated) == 1
+        assert float(found) == pytest.approx(400, rel=0.06)
+        assert f"state a noise_power of {found}" in doubt.sentence
+
+
+@pytest.mark.parametrize("scene", ["level", "street"])
+@pytest.mark.parametrize("cnr_db", [10, 20])
+def test_a_channel_of_noise_alone_is_found_and_its_neighbours_are_not_blamed(scene: str, cnr_db: float) -> None:
+    for field in dwells_of(scene, FAULTS["channel 5 noise only"], cnr_db, dwells=DWELLS):
+        (doubt,) = field.doubts
+        assert (doubt.name, doubt.channel) == ("channel gain", 5)
+        assert abs(doubt.size) < 0.2
+        assert "Channel 5 " in doubt.sentence
+        assert "noise" in doubt.sentence
+
+
+def test_wrong_gains_are_one_doubt_about_the_worst_channel() -> None:
+    gains = FAULTS["gains 2 dB rms"].gain_db
+    for field in dwells_of("level", FAULTS["gains 2 dB rms"], 20, dwells=DWELLS):
+        (doubt,) = field.doubts
+        assert doubt.name == "channel gain"
+        assert abs(gains[doubt.channel]) > 2
+        assert 20 * np.log10(doubt.size) == pytest.approx(gains[doubt.channel], abs=1.5)
+        assert re.search(r"So do \d+ others", doubt.sentence)
+
+
+@cache
+def small_slc(cnr_db: float = 20.0) -> tuple[Slc, Sensor]:
+    """Images of the small preset, 8 channels."""
+    preset = load_preset("small")
+    flight = flight_of(replace(preset, cnr_db=cnr_db), 3)
+    size = ImageSettings(rows=preset.image.rows, cols=preset.image.cols)
+    slc = Compressor().add(flight.phase_history(0), flight.track(0), flight.sensor, size)
+    assert slc is not None
+    return slc, flight.sensor
+
+
+def louder(slc: Slc, sensor: Sensor) -> HeightField:
+    """Heights of images whose samples are ten times as large as described."""
+    return heights(replace(slc, images=10 * slc.images), sensor, ML, ML.settings())
+
+
+def test_channels_keep_their_numbers_where_one_is_dead() -> None:
+    slc, sensor = small_slc()
+    images = slc.images.copy()
+    images[2] = 0
+    field = heights(replace(slc, images=images), sensor, ML, ML.settings())
+    assert [test.channel for test in field.fit] == [-1, 0, 1, 3, 4, 5, 6, 7]
+
+
+def test_where_ranges_are_blanked_most_rows_are_tested() -> None:
+    slc, sensor = small_slc()
+    blanked = replace(sensor, blanked_ranges=((2, 4999.0, 4999.4),), config_hash="")
+    (doubt,) = louder(slc, blanked).doubts
+    assert doubt.size == pytest.approx(20, abs=1)
+
+
+def mixed(sensor: Sensor) -> Sensor:
+    turned = np.linalg.qr(np.random.default_rng(1).standard_normal((8, 8)))[0]
+    return replace(sensor, channel_matrix=tuple(map(tuple, turned.tolist())), config_hash="")
+
+
+def test_channels_that_are_mixtures_have_a_noise_level_only() -> None:
+    slc, sensor = small_slc()
+    turned = mixed(sensor)
+    images = np.einsum("mn,nrc->mrc", np.array(turned.channel_matrix), slc.images).astype(np.complex64)
+    field = louder(replace(slc, images=images), turned)
+    assert [test.name for test in field.fit] == ["noise level"]
+    assert field.doubts[0].size == pytest.approx(20, abs=1)
+
+
+NOT_TESTED: dict[str, Callable[[Slc, Sensor], HeightField]] = {
+    "clipped": lambda slc, sensor: louder(replace(slc, saturated_share=np.ones(8)), sensor),
+    "monopulse": lambda slc, sensor: heights(slc, sensor, ESTIMATORS["monopulse"], ESTIMATORS["monopulse"].settings()),
+    "without layover": lambda slc, sensor: heights(slc, sensor, ML, ML.settings(layover=False)),
+}
+
+
+@pytest.mark.parametrize("case", NOT_TESTED)
+def test_nothing_is_tested_without_a_model_of_every_pixel(case: str) -> None:
+    field = NOT_TESTED[case](*small_slc())
+    assert field.fit == field.doubts == ()
+
+
+def test_tests_are_those_of_the_exact_likelihood_whatever_is_maximised() -> None:
+    slc, sensor = small_slc()
+    exact, published = (
+        heights(slc, sensor, ML, ML.settings(objective=objective)) for objective in ("normalised", "numerator")
+    )
+    assert len(exact.fit) > 1
+    assert repr(published.fit) == repr(exact.fit)  # some of the numbers are NaN
+
+
+def test_few_channels_are_not_tested() -> None:
+    for detectors, tested in ((5, False), (6, True)):
+        field = dwells_of("level", Fault(10.0), 30, detectors=detectors, dwells=1)[0]
+        assert bool(field.fit) == bool(field.doubts) == tested

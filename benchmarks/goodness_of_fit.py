@@ -83,7 +83,7 @@ FAULTS = {
     "noise +1 dB": Fault(1.0),
     "noise +3 dB": Fault(3.0),
     "noise +26 dB": Fault(26.0),
-    "noise -3 dB": Fault(-3.0),
+    "noise -6 dB": Fault(-6.0),
     "channel 5 noise only": Fault(gain_db=_only(5, -200.0)),
     "channel 5 +3 dB": Fault(gain_db=_only(5, 3.0)),
     "gains 2 dB rms": Fault(gain_db=tuple(2.0 * np.random.default_rng(5).standard_normal(16))),

@@ -11,18 +11,17 @@ import numpy as np
 from sal_height.beams import Beams
 from sal_height.doubts import Doubt, FitTest
 from sal_height.elevation import HeightSettings, Looks, Residue
-from sal_height.elevation.fit.channel_gains import gain_tests
-from sal_height.elevation.fit.noise_level import FEWEST_CHANNELS, noise_test
+from sal_height.elevation.fit import channel_gains, noise_level
 from sal_height.numeric import Index
 from sal_height.sensor import Sensor
 
 SIGNIFICANCE = 1e-4
 """Probability that any of the tests of a dwell that fits is significant."""
 
-LOUDER_DB, QUIETER_DB = 0.6, -1.5
+LOUDER_DB, QUIETER_DB = 0.6, -3.0
 """Noise levels beyond which heights are in doubt.
 
-Below the first, less than .2 % of the heights are beyond 5 sigma. The search takes up to 1 dB from the noise of six
+Below the first, less than .2 % of the heights are beyond 5 sigma. The search takes up to 2.4 dB from the noise of three
 channels where it finds nothing else.
 """
 
@@ -51,7 +50,7 @@ def fit_of(
 ) -> DwellFit:
     """Tests of the noise level and of the gain of each channel, and doubts.
 
-    Gains are not tested where channels are mixtures of detectors; nothing is with fewer than FEWEST_CHANNELS.
+    Gains are not tested where channels are mixtures of detectors. Each test has its FEWEST_CHANNELS.
 
     Args:
         residue: fit of a single scatterer to each pixel; None: there is none.
@@ -61,11 +60,13 @@ def fit_of(
         sensor: sensor of the dwell.
         settings: settings of the looks.
     """
-    if residue is None or beams.count < FEWEST_CHANNELS:
+    if residue is None or beams.count < noise_level.FEWEST_CHANNELS:
         return DwellFit()
     repeated = math.prod(max(1.0, len(window.weights) / window.step) for window in settings.windows)
-    level = noise_test(residue, looks, beams, repeated)
-    gains = [] if sensor.is_mixed else gain_tests(residue, looks, beams, channels, repeated)
+    level = noise_level.noise_test(residue, looks, beams, repeated)
+    gains: list[FitTest] = []
+    if beams.count >= channel_gains.FEWEST_CHANNELS and not sensor.is_mixed:
+        gains = channel_gains.gain_tests(residue, looks, beams, channels, repeated)
     limit = SIGNIFICANCE / (1 + len(gains))
     # What wrong gains leave of strong scatterers looks like noise.
     doubts = tuple(_of_gains(gains, limit)) or tuple(_of_noise(level, sensor, limit))

@@ -30,6 +30,9 @@ from sal_height.numeric import F64, Index
 CHANNEL_GAIN = "channel gain"
 """Name of the test."""
 
+FEWEST_CHANNELS = 6
+"""Fewest channels whose gains are tested: with few, another elevation is nearly as good an explanation."""
+
 MOST_PIXELS = 256
 """Most pixels that gains are measured in, so that the test takes 2 % of the time of their heights."""
 
@@ -81,17 +84,16 @@ def measured_gains(residue: Residue, looks: Looks, beams: Beams) -> F64:
     Responses are those at the nearest squint for which they are exact, which is the same in most dwells.
     """
     first, last = beams.span
-    inside = looks.finite & (residue.elevation >= first) & (residue.elevation <= last)
-    pixels = np.flatnonzero(inside)
+    pixels = np.flatnonzero((residue.elevation >= first) & (residue.elevation <= last) & looks.finite)
     if len(pixels) > MOST_PIXELS:
         pixels = pixels[np.linspace(0, len(pixels) - 1, MOST_PIXELS).astype(np.intp)]
-    search = _search(beams, tuple(exact_squint(looks, beams).tolist()))
+    search = _search(beams, tuple(exact_squint(looks.squint, beams).tolist()))
     matrices, numbers = _covariances(looks, pixels, is_complex=search.tables.complex_beams)
     weights, sums, found = np.zeros((beams.count, BINS)), np.zeros((2, beams.count)), np.empty((3, beams.count))
     gather_gains(
         matrices,
         numbers,
-        search.squints[pixels % inside.shape[1]],
+        search.squints[pixels % len(looks.squint)],
         search.position(residue.elevation.ravel()[pixels]),
         search.tables.unit_pieces,
         looks.receiver_noise * residue.explained.ravel()[pixels],

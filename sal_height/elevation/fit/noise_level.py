@@ -11,6 +11,7 @@ Nadler, IEEE Trans. Signal Processing 57, 2009, for covariances of more looks th
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 
 import numpy as np
 
@@ -26,21 +27,21 @@ from sal_height.numeric import F64
 NOISE_LEVEL = "noise level"
 """Name of the test."""
 
-FEWEST_CHANNELS = 6
-"""Fewest channels whose noise level, and gains, can be told from several scatterers in many pixels."""
+FEWEST_CHANNELS = 3
+"""Fewest channels whose noise level can be told from several scatterers: two of these explain all of two channels."""
 
 LEAST_FRACTION = 0.2
 """Least fraction of the pixels that must have one scatterer.
 
-In noise it is .5 to .6. Where range cells spread over elevation far above the noise, as level ground does at 40 dB, and
-in a canopy, it is next to 0, and the level of those that are left has an error of 1 dB.
+In noise it is .6 with 16 channels and .26 with 3. Where range cells spread over elevation far above the noise, as level
+ground does at 40 dB, and in a canopy, it is next to 0, and the level of those that are left has an error of 1 dB.
 """
 
 OF_SCENE = 0.4
 """Standard deviation of the level between scenes and CNRs, times the number of channels.
 
-The fewer channels, the more of the noise do scatterers that are not found, and the search, add or take. In the
-scenes of `benchmarks.goodness_of_fit` at 3 to 30 dB levels are -.45 to .5 dB with 16 channels, and -1 to .65 dB with 6.
+The fewer channels, the more of the noise do scatterers that are not found, and the search, add or take. In the scenes
+of `benchmarks.goodness_of_fit` at 3 to 30 dB levels are -.45 to .5 dB with 16 channels, and -1 to .65 dB with 6.
 """
 
 DB = 10 / math.log(10)
@@ -51,7 +52,7 @@ def noise_test(residue: Residue, looks: Looks, beams: Beams, repeated: float) ->
     """Test the noise of a dwell against the stated one: its level in dB; NaN where too few pixels have one scatterer.
 
     The search for the scatterer takes noise where it has nothing else: in shadow, and beyond the array, the level is
-    found too low, by up to 1 dB with six channels.
+    found too low, by up to 1 dB with six channels and by 2.4 dB with three.
 
     Args:
         residue: fit of a single scatterer to each pixel.
@@ -60,35 +61,39 @@ def noise_test(residue: Residue, looks: Looks, beams: Beams, repeated: float) ->
         repeated: number of pixels in which each look is.
     """
     power, levels = looks.power.ravel() / looks.receiver_noise, np.empty(looks.power.size)
-    usual = _usually_beside(looks.count, path_length(beams, float(exact_squint(looks, beams)[0])))
+    few, many = float(looks.count.min()), float(looks.count.max())
+    usual = _usually_beside(beams, float(exact_squint(looks.squint[:1], beams)[0]), few, many)
     pixels = residue.explained.ravel(), residue.beside.ravel(), looks.count.ravel(), looks.finite.ravel()
     number = levels_of_noise(power, *pixels, beams.count, beams.count * beams.uncertainty**2, usual, levels)
     if number < max(1, LEAST_FRACTION * np.count_nonzero(looks.finite)):
         return FitTest(NOISE_LEVEL, unit="dB")
     levels = levels[:number]
     levels.partition(number // 2)
-    degrees = (beams.count - 1) * float(looks.count.min()) - 0.5
+    degrees = (beams.count - 1) * few - 0.5
     of_noise = math.sqrt(np.pi / 2 * repeated / (number * degrees))
     size, sigma = DB * math.log(levels[number // 2]), DB * math.hypot(of_noise, OF_SCENE / beams.count)
     statistic = abs(size) / sigma
     return FitTest(NOISE_LEVEL, ALL_CHANNELS, statistic, math.erfc(statistic / math.sqrt(2)), size, sigma, "dB")
 
 
-def _usually_beside(count: F64, length: float) -> tuple[float, float]:
+@lru_cache(maxsize=64)
+def _usually_beside(beams: Beams, squint: float, few: float, many: float) -> tuple[float, float]:
     """Power that one more scatterer explains in half of the pixels of noise, as a line over the number of looks.
 
     Args:
-        count: number of looks of every pixel.
-        length: length of the path of the response, `order.path_length`.
+        beams: beams of the channels, distinguished by their identity.
+        squint: squint of a column, rad.
+        few: least number of looks.
+        many: greatest number of looks.
     """
-    few, many = float(count.min()), float(count.max())
+    length = path_length(beams, squint)
     least, most = (detection_threshold(length, looks, 0.5) for looks in (few, many))
     slope = (most - least) / (many - few) if many > few else 0.0
     return least - slope * few, slope
 
 
-def exact_squint(looks: Looks, beams: Beams) -> F64:
-    """Squints (rad) nearest to those of the columns for which responses are computed from the beams' patterns."""
+def exact_squint(squint: F64, beams: Beams) -> F64:
+    """Squints nearest to these (rad) for which responses are computed from the beams' patterns; same shape."""
     step = SQUINT_STEP * beams.track_beamwidth
-    found: F64 = np.rint(looks.squint / step) * step
+    found: F64 = np.rint(squint / step) * step
     return found

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -28,6 +29,40 @@ class Doubt(NamedTuple):
     size: float = np.nan
     unit: str = ""
     p_value: float = np.nan
+
+
+class Assumption(NamedTuple):
+    """A standard deviation that is assumed because nobody states it.
+
+    Attributes:
+        what: quantity and value, as in a message.
+        parameter: name of the parameter that states it.
+    """
+
+    what: str
+    parameter: str
+
+
+def doubts_of_assumed(name: str, assumed: Sequence[Assumption]) -> tuple[Doubt, ...]:
+    """The doubt about standard deviations that are assumed; none if there are none.
+
+    Args:
+        name: name of the doubt.
+        assumed: standard deviations.
+    """
+    if not assumed:
+        return ()
+    sentence = (
+        "Nobody states how well the sensor is known; assumed are standard deviations of "
+        f"{_listed([one.what for one in assumed])}. State what is known (0: exact) under uncertainty in the sensor's "
+        f"description, in sensor_info, or by {_listed([one.parameter for one in assumed])}."
+    )
+    return (Doubt(name, sentence),)
+
+
+def _listed(names: Sequence[str]) -> str:
+    *others, last = names
+    return f"{', '.join(others)} and {last}" if others else last
 
 
 class FitTest(NamedTuple):

@@ -33,20 +33,6 @@ VALUES: Mapping[str, Mapping[Any, str]] = MappingProxyType(
 ENDED: Mapping[str, Any] = MappingProxyType({"prior_strength": 0.0})
 """Parameters that have ended, with the value that changed nothing."""
 
-BEFORE: Mapping[str, Mapping[str, Any]] = MappingProxyType(
-    {
-        "sar_compression": MappingProxyType(
-            {
-                "odometry_position_sigma_m": 0.0,
-                "odometry_velocity_sigma_mps": 0.0,
-                "odometry_attitude_sigma_rad": 0.0,
-                "odometry_heading_sigma_rad": 0.0,
-            }
-        )
-    }
-)
-"""Values with which nodes work as they did before they had these parameters, by node and name."""
-
 
 def with_new_names(values: Mapping[str, Any]) -> dict[str, Any]:
     """Parameters of one node with new names and values; where both names are given, the new one counts.

@@ -19,9 +19,10 @@ from sal_height.beams.array import Beams
 from sal_height.beams.pattern import PATTERNS, Pattern, pattern_named
 from sal_height.elevation.looks.look_windows import Window
 from sal_height.elevation.looks.looks import Looks, windowed_looks
-from sal_height.geometry.frames import ApertureState
+from sal_height.geometry.frames import ApertureState, Mounting
 from sal_height.sensor.channels import Channels, whitened_channels
 from sal_height.sensor.sensor import Sensor
+from sal_height.sensor.uncertainty import EXACT
 from sal_height.simulation.preset import Preset
 from sal_height.simulation.scene import Scene, VisibleSurface
 
@@ -86,8 +87,11 @@ def whitening(noise_covariance: Array, channel_matrix: Array) -> tuple[float, Ar
     return float(channels.noise_powers[0]), channels.transform
 
 
+AT_BASE_LINK_EXACTLY = Mounting(lever_arm_covariance=(0.0,) * 9, rotation_covariance=(0.0,) * 9)
+
+
 def make_sensor(**changes: object) -> Sensor:
-    """A lidar of three detectors looking right at 45 degrees."""
+    """A lidar of three detectors looking right at 45 degrees, as it is described."""
     values = {
         "name": "test",
         "look_side": 1,
@@ -101,6 +105,8 @@ def make_sensor(**changes: object) -> Sensor:
         "pattern": "jinc",
         "elevation_boresights": tuple(np.pi / 4 + np.array([-0.5, 0.0, 0.5]) * BEAMWIDTH),
         "noise_power": (1.0, 1.0, 1.0),
+        "mounting": AT_BASE_LINK_EXACTLY,
+        "uncertainty": EXACT,
     }
     if "aperture" in changes:  # of an antenna that is as long as it is high
         changes["elevation_diameter"] = changes["azimuth_diameter"] = changes.pop("aperture")

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from typing import Self
+
+from sal_height.elevation import BEAM_PITCH
+from sal_height.sensor import AS_DESCRIBED, Sensor, deviation_of
 from sal_height.settings import Settings, setting
 
 
@@ -33,9 +37,10 @@ class AdjustmentSettings(Settings):
         0.0, "standard deviation of the odometry's delay; 0: it is exact", unit="s", minimum=0.0, maximum=1.0
     )
     pitch_sigma: float = setting(
-        0.0,
-        "relative standard deviation of the angles between the beams; 0: they are exact",
-        minimum=0.0,
+        AS_DESCRIBED,
+        "relative standard deviation of the angles between the beams; 0: they are exact; -1: as the sensor's "
+        f"description states, or else {BEAM_PITCH:g}",
+        minimum=-1.0,
         maximum=0.1,
     )
     jitter_rad: float = setting(
@@ -60,3 +65,8 @@ class AdjustmentSettings(Settings):
         minimum=1.0,
         maximum=200.0,
     )
+
+    def described(self, sensor: Sensor) -> Self:
+        """These settings with the accuracy that the description of a sensor states, where they state none."""
+        pitch = deviation_of(self.pitch_sigma, sensor.uncertainty.beam_pitch, BEAM_PITCH)
+        return self.changed(pitch_sigma=pitch.sigma)

@@ -23,6 +23,7 @@ from sal_height.adjustment.observed import (
     DELAY,
     LEVER_ARM,
     PLACE,
+    STRETCH,
     TURN,
     ObservedDwell,
     pose_jacobian,
@@ -154,15 +155,19 @@ def _covariances(
     return [of_knot[knot] if there else None for knot, there in zip(near, covered, strict=True)]
 
 
-def corrected_heights(field: HeightField, dwell: ObservedDwell, off: PoseError) -> HeightField:
+def corrected_heights(
+    field: HeightField, dwell: ObservedDwell, off: PoseError, pitch_sigma: float = 0.0
+) -> HeightField:
     """The surfaces of a dwell at corrected positions, with the covariance of the residual error.
 
     Args:
         field: heights as published.
         dwell: geometry that they were made with.
         off: error of its pose.
+        pitch_sigma: relative standard deviation of the angles between the beams that the covariances of these heights
+            contain; that in the error of the pose replaces it.
     """
-    surfaces = tuple(_corrected(surface, dwell, off) for surface in field.surfaces)
+    surfaces = tuple(_corrected(surface, dwell, off, pitch_sigma) for surface in field.surfaces)
     grid = replace(field.grid, origin=field.grid.origin - off.error[PLACE])
     return replace(field, grid=grid, surfaces=surfaces)
 
@@ -179,10 +184,11 @@ def corrected_aperture(dwell: ObservedDwell, off: PoseError) -> ApertureState:
     )
 
 
-def _corrected(surface: Surface, dwell: ObservedDwell, off: PoseError) -> Surface:
+def _corrected(surface: Surface, dwell: ObservedDwell, off: PoseError, pitch_sigma: float) -> Surface:
     jacobian = pose_jacobian(surface.positions, dwell)
     positions = surface.positions - jacobian @ off.error
-    common = jacobian @ off.covariance @ np.swapaxes(jacobian, -1, -2) + _beyond_pose(surface, dwell.aperture)
+    beyond = _beyond_pose(surface, dwell.aperture, pitch_sigma * jacobian[..., STRETCH] if pitch_sigma else None)
+    common = jacobian @ off.covariance @ np.swapaxes(jacobian, -1, -2) + beyond
     variance = height_variance(surface.own_covariance + common, positions)
     return replace(
         surface,
@@ -193,14 +199,22 @@ def _corrected(surface: Surface, dwell: ObservedDwell, off: PoseError) -> Surfac
     )
 
 
-def _beyond_pose(surface: Surface, aperture: ApertureState) -> F64:
-    """The part of the common covariance that is due to the beams rather than to the pose, m^2."""
+def _beyond_pose(surface: Surface, aperture: ApertureState, by_pitch: F64 | None) -> F64:
+    """The part of the common covariance beyond those by the pose and by the angles between the beams, m^2.
+
+    Args:
+        surface: surface as published.
+        aperture: aperture that it was published with.
+        by_pitch: displacement by one standard deviation of these angles, m, shape (..., 3); None: they were exact.
+    """
     common, by_pose = surface.common_covariance, pose_covariance(surface.positions, aperture)
     if common is None:
         return np.zeros_like(surface.own_covariance)
-    if by_pose is None:
+    if by_pose is None and by_pitch is None:
         return common
-    beyond = common - by_pose
+    beyond = common if by_pose is None else common - by_pose
+    if by_pitch is not None:
+        beyond = beyond - by_pitch[..., :, None] * by_pitch[..., None, :]
     size = np.trace(common, axis1=-2, axis2=-1)[..., None, None]
     # Less than this fraction is rounding of single precision.
     return np.where(np.abs(beyond).max(axis=(-2, -1), keepdims=True) > 1e-5 * size, beyond, 0.0)

@@ -42,6 +42,8 @@ class Beams:
         azimuth_beamwidth: wavelength / antenna diameter across the detector axis, rad; None: `beamwidth`.
         uncertainty: standard deviation of the error of a channel's complex amplitude, over the greatest amplitude of a
             beam, root mean square over channels; 0: the beams are known.
+        pitch_uncertainty: relative standard deviation of the angles between the beams, an error of elevation in
+            proportion to the angle from the middle of the array (`axis_middle`); 0: they are known.
     """
 
     patterns: tuple[Pattern, ...]
@@ -54,6 +56,7 @@ class Beams:
     matrix: F64 | C128 | None = None
     azimuth_beamwidth: float | None = None
     uncertainty: float = 0.0
+    pitch_uncertainty: float = 0.0
 
     def response(self, elevation: npt.ArrayLike, squint: npt.ArrayLike) -> F64:
         """Return the amplitude of every channel for targets at `elevation` and `squint` (rad): shape (..., channels).
@@ -73,6 +76,22 @@ class Beams:
     def averaged(self, aspects: F64, weights: F64) -> Self:
         """Return the beams of an image whose targets were observed under `aspects` (rad), weighted by `weights`."""
         return replace(self, aspects=aspects, weights=weights / np.sum(weights))
+
+    def uncertainty_by(self, channel_variances: F64 | float, width_sigma: float, width_factor: float = 1.0) -> float:
+        """The `uncertainty` that follows from errors of channels and of the width of the beams.
+
+        A relative error of a channel is one of the beam's greatest amplitude; an error of the width w changes the
+        amplitude by dh / d ln w, whose mean square is that over all directions between the boresights.
+
+        Args:
+            channel_variances: variances of the relative errors of channels, shape (channels,), or one for all.
+            width_sigma: standard deviation of the width factor.
+            width_factor: width over that of these beams.
+        """
+        step, directions = 1e-3, np.linspace(*self.span, 8 * self.count)
+        narrow, wide = (self.widened(factor).response(directions, 0.0) for factor in (1 - step, 1 + step))
+        change = np.abs(wide - narrow) / (2 * step) * width_sigma / width_factor
+        return float(np.sqrt(np.mean(channel_variances) + np.mean(change**2)))
 
     def scaled(self, gains: npt.NDArray[Any]) -> Self:
         """Return the beams of channels that are multiplied by `gains`, real or complex, shape (channels,)."""

@@ -177,7 +177,7 @@ def _prior(of: Situation) -> NavigationPrior:
     """Stated uncertainty of the beams from odometry and mounting."""
     errors = of.preset.impairments.odometry
     stated = np.diag([errors.position_m] * 3 + errors.turn_rad.tolist()) ** 2
-    aperture = with_known_errors(replace(of.aperture, covariance=stated), of.sensor, of.settings)
+    aperture = with_known_errors(replace(of.aperture, covariance=stated), of.sensor, of.settings, of.slant_range)
     return NavigationPrior.of(aperture, errors.velocity_mps**2 * np.eye(3), of.sight)
 
 

@@ -14,7 +14,7 @@ from sal_height.elevation import MISFIT_FRACTION
 from sal_height.errors import UserError
 from sal_height.numeric import C64, C128, F64, window
 from sal_height.response import PointTargetSettings
-from sal_height.sensor import MAX_SHARE, PhaseHistory, Sensor
+from sal_height.sensor import KNOWN_BEAMS, MAX_SHARE, BeamErrors, PhaseHistory, Sensor
 from sal_height.settings import setting
 
 
@@ -116,21 +116,19 @@ class Calibration:
         """The beams as wide as measured, behind the measured pupil."""
         return described.aberrated(tuple(self.pupil.tolist())).widened(self.width_factor)
 
-    def beam_uncertainty(self, beams: Beams) -> float:
+    def beam_uncertainty(self, beams: Beams, described: BeamErrors = KNOWN_BEAMS) -> float:
         """Root mean square error that the calibration leaves to the beams' amplitudes, as of `Beams.uncertainty`.
-
-        A relative error of a gain is one of the beam's greatest amplitude; an error of the width changes the amplitude
-        by dh / d ln w, whose mean square is that over all directions between the boresights. Values that were not
-        measured add nothing: their uncertainty is that of the sensor's description.
 
         Args:
             beams: beams of the sensor, as described.
+            described: errors of the description, which count where nothing was measured.
         """
-        gains = np.nan_to_num(self.gain_sigma) ** 2 + np.nan_to_num(self.phase_sigma) ** 2
-        step, directions = 1e-3, np.linspace(*beams.span, 8 * beams.count)
-        narrow, wide = (beams.widened(factor).response(directions, 0.0) for factor in (1 - step, 1 + step))
-        change = np.abs(wide - narrow) / (2 * step) * np.nan_to_num(self.width_sigma) / self.width_factor
-        return float(np.sqrt(np.mean(gains) + np.mean(change**2)))
+        gain = np.where(np.isnan(self.gain_sigma), described.gain, self.gain_sigma)
+        phase = np.where(np.isnan(self.phase_sigma), described.phase, self.phase_sigma)
+        variances = gain**2 + phase**2
+        if np.isnan(self.width_sigma):
+            return beams.uncertainty_by(variances, described.width)
+        return beams.uncertainty_by(variances, self.width_sigma, self.width_factor)
 
     def check(self, sensor: Sensor) -> None:
         """Check that the calibration is of this sensor, whose waveform is "spectrum".

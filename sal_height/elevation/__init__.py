@@ -27,7 +27,13 @@ from sal_height.elevation.array.estimate import (
     without_imprecise,
     without_saturated,
 )
-from sal_height.elevation.array.height_settings import MISFIT_FRACTION, HeightSettings
+from sal_height.elevation.array.height_settings import (
+    BEAM_PITCH,
+    BEAM_WIDTH,
+    CHANNEL_GAIN_DB,
+    MISFIT_FRACTION,
+    HeightSettings,
+)
 from sal_height.elevation.array.likelihood import AMBIGUOUS_RATIO, OBJECTIVES, peak_elevation, search_guard
 from sal_height.elevation.array.response_spread import sidelobe_variance
 from sal_height.elevation.array.search import Objective, PeakSearch, PeakSearches, Pixels
@@ -64,6 +70,9 @@ from sal_height.elevation.vegetation.profile import PROFILES
 
 __all__ = [
     "AMBIGUOUS_RATIO",
+    "BEAM_PITCH",
+    "BEAM_WIDTH",
+    "CHANNEL_GAIN_DB",
     "DISCRIMINANTS",
     "ESTIMATORS",
     "MEASURED",

@@ -30,7 +30,7 @@ from sal_height.adjustment import (
     mounting_covariance,
     placement_in_strip,
 )
-from sal_height.elevation import ESTIMATORS
+from sal_height.elevation import BEAM_PITCH, ESTIMATORS
 from sal_height.engine.compression import ODOMETRY_PORT
 from sal_height.engine.dwells import SENSOR_PORT, SENSORS_KEPT, DwellStage, WholeDwell
 from sal_height.engine.frame_items import LONGEST_DWELL
@@ -53,7 +53,7 @@ from sal_height.geometry import (
 from sal_height.numeric import F64
 from sal_height.rehearsal import once, rehearse_adjustment
 from sal_height.relief import HeightField
-from sal_height.sensor import Sensor
+from sal_height.sensor import AS_DESCRIBED, Sensor, deviation_of
 from sal_height.settings import setting, settings_of
 from sal_height.topics import ODOMETRY
 
@@ -65,7 +65,10 @@ ODOMETRY_KEPT_S = 2e5
 pass before. Memory is limited by the number of samples."""
 
 KNOWN = "boresight_sigma_rad", "lever_arm_sigma_m", "odometry_delay_sigma_s"
-"""Settings that the compression has as well, whose values there count if they are not 0."""
+"""Settings that the compression has as well, whose values there count unless they are NOT_STATED."""
+
+NOT_STATED = None, 0.0, AS_DESCRIBED
+"""Values of standard deviations of the compression that state nothing for the adjustment."""
 
 POSE_ERROR = "pose_error"
 """Name in the provenance, in addition to the settings, of the error of the pose that was removed."""
@@ -187,7 +190,7 @@ class FlightAdjuster:
             UserError: they cannot be adjusted.
         """
         stage, stamp_ns = heights.provenance.compression, heights.key.stamp_ns
-        known = _known(settings, stage)
+        known = _known(settings, stage).described(sensor)
         _check_mounting(stage)
         limits = settings.window_dwells, settings.window_points
         made_for = sensor.digest, known, limits
@@ -222,7 +225,7 @@ class FlightAdjuster:
             )
         seconds = [(state.stamp_ns - self._epoch_ns) * 1e-9 for state in states]
         return AdjustedDwell(
-            corrected_heights(heights.field, dwell, off),
+            corrected_heights(heights.field, dwell, off, pitch_in_heights(heights, sensor)),
             corrected_aperture(dwell, off),
             off,
             corrected_states(states, seconds, adjustment, sensor.mounting, known),
@@ -238,6 +241,15 @@ def length_s(heights: Heights, sensor: Sensor) -> float:
     if sensor.mode == "stripmap":
         return sensor.pulse_count / sensor.pulse_repetition_frequency
     return heights.aperture.length / float(np.linalg.norm(heights.aperture.velocity))
+
+
+def pitch_in_heights(heights: Heights, sensor: Sensor) -> float:
+    """Relative standard deviation of the angles between the beams that the covariances of heights contain."""
+    entry = ESTIMATORS.get(heights.estimator)
+    stated = heights.provenance.stages.get(entry.node, {}).get("beam_pitch_sigma") if entry else None
+    if not isinstance(stated, float):
+        return 0.0
+    return deviation_of(stated, sensor.uncertainty.beam_pitch, BEAM_PITCH).sigma
 
 
 class HeightAdjuster(DwellStage):
@@ -433,7 +445,9 @@ def _known(settings: AdjusterSettings, stage: Mapping[str, Any]) -> AdjustmentSe
         UserError: a value that it states is not allowed.
     """
     values = {name: getattr(settings, name) for name in settings_of(AdjustmentSettings)}
-    return AdjustmentSettings(**{**values, **{name: stage[name] for name in KNOWN if stage.get(name)}})
+    return AdjustmentSettings(
+        **{**values, **{name: stage[name] for name in KNOWN if stage.get(name) not in NOT_STATED}}
+    )
 
 
 def _check_mounting(stage: Mapping[str, Any]) -> None:

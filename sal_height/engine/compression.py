@@ -372,7 +372,7 @@ class Compression(DwellStage):
         """
         settings = self._settings
         if sensor.config_hash in self._mountings:
-            return self._mountings[sensor.config_hash]
+            return self._mountings[sensor.config_hash].known_as(sensor.mounting)
         if not settings.mounting_from_tf:
             return sensor.mounting
         name, body = sensor.mounting.frame_id, settings.body_frame
@@ -385,7 +385,7 @@ class Compression(DwellStage):
             )
         mounting = Mounting(name, tuple(place.translation.tolist()), tuple(place.rotation.as_quat().tolist()))
         found: Mounting = settings.frames.axes.mounting(mounting)
-        return found
+        return found.known_as(sensor.mounting)
 
     def _describe_odometry(self, start_ns: int) -> str:
         """Description of the odometry received, relative to a dwell that it does not cover."""

@@ -128,16 +128,29 @@ class Mounting:
         frame_id: name of the sensor frame; empty: "base_link".
         lever_arm: position of the antenna's phase centre in base_link axes, m.
         rotation: unit quaternion x, y, z, w that turns the axes of the sensor frame into those of base_link.
+        lever_arm_covariance: covariance of the lever arm in base_link axes, m^2, 9 numbers, row-major; None: not known;
+            zeros: exact.
+        rotation_covariance: covariance of the rotation about the axes of base_link, rad^2; likewise.
 
     Raises:
-        UserError: a value that is not finite, a lever arm beyond FARTHEST_ARM, or a quaternion whose norm is not 1.
+        UserError: a value that is not finite, a lever arm beyond FARTHEST_ARM, a quaternion whose norm is not 1, or
+            numbers that are no covariance.
     """
 
     frame_id: str = "sensor"
     lever_arm: tuple[float, float, float] = (0.0, 0.0, 0.0)
     rotation: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
+    lever_arm_covariance: tuple[float, ...] | None = None
+    rotation_covariance: tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:
+        for name in ("lever_arm_covariance", "rotation_covariance"):
+            values = getattr(self, name)
+            if values is not None and not _is_covariance(np.asarray(values)):
+                raise UserError(
+                    f"The {name} of the mounting is {values}; it must be 9 finite numbers of a symmetric matrix "
+                    "without negative eigenvalues, row by row, or empty if it is not known."
+                )
         if not np.all(np.abs(self.lever_arm) <= FARTHEST_ARM):
             raise UserError(
                 f"The lever arm of the mounting is {self.lever_arm} m; each component must be finite and at most "
@@ -148,6 +161,11 @@ class Mounting:
                 f"The rotation of the mounting is {self.rotation}; it must be a quaternion (x, y, z, w) of norm 1."
             )
 
+    def known_as(self, other: Mounting) -> Mounting:
+        """This mounting with the covariances of another one."""
+        covariances = {name: getattr(other, name) for name in ("lever_arm_covariance", "rotation_covariance")}
+        return replace(self, **covariances)
+
     @property
     def is_identity(self) -> bool:
         """True if the sensor frame is base_link itself."""
@@ -157,6 +175,16 @@ class Mounting:
     def axes(self) -> Rotation:
         """The rotation from the sensor frame to base_link."""
         return Rotation.from_quat(self.rotation)
+
+
+def _is_covariance(values: F64) -> bool:
+    """True for 9 finite numbers of a symmetric, positive semidefinite matrix, but for rounding."""
+    if values.shape != (9,) or not np.all(np.isfinite(values)):
+        return False
+    matrix = values.reshape(3, 3)
+    rounding = 1e-9 * float(np.abs(matrix).max())
+    symmetric = bool(np.abs(matrix - matrix.T).max() <= rounding)
+    return symmetric and float(np.linalg.eigvalsh(matrix)[0]) >= -rounding
 
 
 AT_BASE_LINK = Mounting()  # the sensor frame is base_link: no lever arm, no rotation

@@ -1,9 +1,9 @@
 """Image formation: from the phase history of a dwell or strip to single-look complex images of all detectors.
 
 Read `focus` and `strip_focus` first (`focus_dwell`, `StripFocuser`: the whole of it), then `pixels` (image grids,
-their noise, windows, and beams in strip images), `corrections` (known errors), `unknown_odometry` (assumed errors),
-`checks` (dwells that alias are refused), `formers` (backprojection and the fast ones), `autofocus` (phase errors common
-to all detectors) and `strip` (blocks that join).
+their noise, windows, and beams in strip images), `corrections` (known errors), `instrument` (those that the sensor's
+description leaves), `unknown_odometry` (assumed ones of odometry), `checks` (dwells that alias are refused), `formers`
+(backprojection and the fast ones), `autofocus` (phase errors common to all detectors) and `strip` (blocks that join).
 """
 
 from sal_height.imaging.autofocus.gradient import apply_phase, focus_cells, is_for_speckle
@@ -15,11 +15,13 @@ from sal_height.imaging.corrections import (
     StripDelay,
     correct_dwell,
     correct_track,
+    with_all_errors,
     with_known_errors,
 )
 from sal_height.imaging.focus import ImageSettings, Slc, cell_response, focus_dwell
 from sal_height.imaging.formers.backprojection import backproject, backproject_points
 from sal_height.imaging.formers.choice import FORMERS, FormImages
+from sal_height.imaging.instrument import instrument_errors
 from sal_height.imaging.pixels import Processing, azimuth_resolution, image_beams, line_of_sight
 from sal_height.imaging.strip_focus import StripFocuser
 from sal_height.imaging.unknown_odometry import UNKNOWN_ODOMETRY, with_unknown_odometry
@@ -48,9 +50,11 @@ __all__ = [
     "focus_cells",
     "focus_dwell",
     "image_beams",
+    "instrument_errors",
     "is_for_speckle",
     "line_of_sight",
     "stays_in_range_cell",
+    "with_all_errors",
     "with_known_errors",
     "with_unknown_odometry",
 ]

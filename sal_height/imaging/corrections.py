@@ -1,6 +1,6 @@
 """Correction of known errors: delays, air, clocks, and the uncertainty of the mounting.
 
-The errors that settings state are removed before the images are formed. Their residuals, by their sigmas, are common to
+The errors that settings state are removed before the images are formed. Their residuals (`instrument`) are common to
 all pixels: they enter the covariance of the pose, as a shift of the antenna along the line of sight, along the flight
 or in all directions, or as a rotation of the body.
 """
@@ -8,6 +8,7 @@ or in all directions, or as a rotation of the body.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -27,10 +28,11 @@ from sal_height.geometry import (
     path_through_air,
 )
 from sal_height.imaging.autofocus.gradient import apply_phase
-from sal_height.imaging.pixels import aim_point, line_of_sight
+from sal_height.imaging.instrument import InstrumentError, InstrumentSettings, instrument_errors
+from sal_height.imaging.pixels import aim_point
 from sal_height.numeric import F64
 from sal_height.sensor import PhaseHistory, Sensor
-from sal_height.settings import Settings, setting
+from sal_height.settings import setting
 
 MEASURED_AIR = "air_temperature_k", "air_pressure_pa", "air_humidity", "air_height_m"
 """Settings that state the measurements of the air, and their height."""
@@ -52,7 +54,7 @@ class Corrected(NamedTuple):
     delay: F64
 
 
-class CorrectionSettings(Settings):
+class CorrectionSettings(InstrumentSettings):
     """Known errors, and their standard deviations."""
 
     range_offset_m: float = setting(
@@ -88,20 +90,8 @@ class CorrectionSettings(Settings):
     map_height_m: float = setting(
         0.0, "height of the map's origin above sea level, for the air", unit="m", minimum=-1000.0, maximum=10_000.0
     )
-    range_sigma_m: float = setting(
-        0.0, "standard deviation of what is left of the range offset", unit="m", minimum=0.0, maximum=1e4
-    )
     elevation_sigma_rad: float = setting(
         0.0, "standard deviation of what is left of the elevation offset", unit="rad", minimum=0.0, maximum=0.1
-    )
-    odometry_delay_sigma_s: float = setting(
-        0.0, "standard deviation of what is left of the delay of the odometry", unit="s", minimum=0.0, maximum=10.0
-    )
-    lever_arm_sigma_m: float = setting(
-        0.0, "standard deviation of each component of the lever arm", unit="m", minimum=0.0, maximum=100.0
-    )
-    boresight_sigma_rad: float = setting(
-        0.0, "standard deviation of the rotation of the mounting about each axis", unit="rad", minimum=0.0, maximum=0.1
     )
 
     @property
@@ -117,19 +107,6 @@ class CorrectionSettings(Settings):
     def odometry_delay_ns(self) -> int:
         """The delay of the odometry in whole nanoseconds."""
         return round(1e9 * self.odometry_delay_s)
-
-    @property
-    def leaves_errors(self) -> bool:
-        """True if any sigma is not 0."""
-        return any(
-            (
-                self.range_sigma_m,
-                self.elevation_sigma_rad,
-                self.odometry_delay_sigma_s,
-                self.lever_arm_sigma_m,
-                self.boresight_sigma_rad,
-            )
-        )
 
 
 def correct_track(track: Trajectory, settings: CorrectionSettings) -> Trajectory:
@@ -188,31 +165,37 @@ class StripDelay:
         return apply_phase(history, np.full(len(delay), sensor.centre_wavenumber * jump))
 
 
-def with_known_errors(aperture: ApertureState, sensor: Sensor, settings: CorrectionSettings) -> ApertureState:
-    """The aperture with the residual errors of corrections in its covariance."""
-    if not settings.leaves_errors:
-        return aperture
-    errors = _stated_errors(aperture, sensor, settings)
-    return replace(aperture, covariance=aperture.covariance + errors.T @ errors)
+def with_known_errors(
+    aperture: ApertureState, sensor: Sensor, settings: CorrectionSettings, slant_range: float
+) -> ApertureState:
+    """The aperture with the residual errors of corrections, as far as they are stated, in its covariance.
 
-
-def _stated_errors(aperture: ApertureState, sensor: Sensor, settings: CorrectionSettings) -> F64:
-    """The errors that settings leave, each of one standard deviation and independent of the others.
-
-    Returns:
-        Shift of the antenna (m) and turn of the body about the axes of map (rad) by each, shape (errors, 6).
+    Args:
+        aperture: state of the antenna.
+        sensor: sensor with its mounting.
+        settings: settings that state residual errors.
+        slant_range: slant range of the middle of the image, m.
     """
-    shifts = np.vstack(
-        [
-            settings.lever_arm_sigma_m * np.eye(3),
-            settings.range_sigma_m * line_of_sight(sensor, aperture),
-            settings.odometry_delay_sigma_s * aperture.velocity,
-        ]
-    )
-    turns = np.vstack([settings.boresight_sigma_rad * np.eye(3), settings.elevation_sigma_rad * aperture.forward])
-    errors = np.zeros((len(shifts) + len(turns), 6))
-    errors[: len(shifts), :3], errors[len(shifts) :, 3:] = shifts, turns
-    return errors
+    errors = instrument_errors(aperture, sensor, settings, slant_range)
+    stated = [error for error in errors if not error.is_assumed]
+    return _with_errors(aperture, stated, settings)
+
+
+def with_all_errors(
+    aperture: ApertureState, sensor: Sensor, settings: CorrectionSettings, slant_range: float
+) -> ApertureState:
+    """The aperture as of `with_known_errors`, with those that are only assumed, too."""
+    return _with_errors(aperture, instrument_errors(aperture, sensor, settings, slant_range), settings)
+
+
+def _with_errors(
+    aperture: ApertureState, of_instrument: Iterable[InstrumentError], settings: CorrectionSettings
+) -> ApertureState:
+    by_elevation = np.hstack([np.zeros(3), settings.elevation_sigma_rad * aperture.forward])
+    effects = np.vstack([*(error.effects for error in of_instrument), by_elevation])
+    if not effects.any():
+        return aperture
+    return replace(aperture, covariance=aperture.covariance + effects.T @ effects)
 
 
 def _air(history: PhaseHistory, track: Trajectory, sensor: Sensor, settings: CorrectionSettings) -> tuple[F64, float]:

@@ -181,7 +181,7 @@ def focus_dwell(history: PhaseHistory, track: Trajectory, sensor: Sensor, settin
     # Phase error, and the direction of the beams along the flight: by navigation and, if necessary, the data.
     sight, grid = line_of_sight(sensor, aperture), _dwell_grid(settings, sensor, aperture, reference, processing)
     velocity_covariance = track.velocity_covariance(history.stamp_ns, history.pulse_times)
-    prior = NavigationPrior.of(with_known_errors(aperture, sensor, settings), velocity_covariance, sight)
+    prior = NavigationPrior.of(with_known_errors(aperture, sensor, settings, reference), velocity_covariance, sight)
     focus, placement = _find_beams(history, antenna, sensor, patch_centres(sensor, aperture, grid), prior, settings)
     if focus and focus.trusted:
         history = apply_phase(history, focus.phase)

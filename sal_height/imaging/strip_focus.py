@@ -84,7 +84,7 @@ class StripFocuser:
         check_dwell(history, antenna, sensor, aperture)
         # Phase error, and the direction of the beams along the flight: by navigation or, if necessary, the data.
         velocity_covariance = mounted.velocity_covariance(history.stamp_ns, history.pulse_times)
-        flown = with_known_errors(aperture, sensor, settings)
+        flown = with_known_errors(aperture, sensor, settings, reference)
         prior = NavigationPrior.of(flown, velocity_covariance, line_of_sight(sensor, aperture))
         history, focus, placement = _in_focus(history, antenna, aperture, prior, continued, sensor, settings)
         if placement:

@@ -28,7 +28,7 @@ from sal_height.geometry import Mounting, Origin, PlatformState
 from sal_height.messages.types import ChannelFrame
 from sal_height.numeric import F64, I64
 from sal_height.sensor import PhaseHistory, Sensor
-from sal_height.simulation import MountingSettings, OriginSettings
+from sal_height.simulation import MountingSettings, OriginSettings, UncertaintySettings
 from sal_height.topics import MAP_ORIGIN
 
 Positive = Annotated[Float, Gt(0)]
@@ -57,6 +57,7 @@ class Description(StrictKeys):
     sampling_rate_hz: Annotated[Float, Ge(0)] = 0.0
     full_scale: Annotated[Float, Ge(0)] = 0.0
     mounting: MountingSettings = field(default_factory=MountingSettings)
+    uncertainty: UncertaintySettings = field(default_factory=UncertaintySettings)
     origin: OriginSettings | None = None
     processing: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
@@ -100,7 +101,10 @@ class Description(StrictKeys):
             pulse_duration=self.pulse_duration_s,
             sampling_rate=self.sampling_rate_hz,
             full_scale=self.full_scale,
-            mounting=Mounting(self.mounting.frame_id, self.mounting.lever_arm_m, (x, y, z, w)),
+            mounting=self.uncertainty.mounted(
+                Mounting(self.mounting.frame_id, self.mounting.lever_arm_m, (x, y, z, w))
+            ),
+            uncertainty=self.uncertainty.of_sensor,
         )
 
 

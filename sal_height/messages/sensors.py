@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import fields
 
 import numpy as np
 import numpy.typing as npt
@@ -17,7 +18,8 @@ from sal_height.messages.types import BeamModel, ChannelModel, Header, Quaternio
 from sal_height.messages.types import BeamTable as TableMessage
 from sal_height.messages.types import Calibration as CalibrationMessage
 from sal_height.messages.types import Mounting as MountingMessage
-from sal_height.sensor import Sensor
+from sal_height.messages.types import SensorUncertainty as UncertaintyMessage
+from sal_height.sensor import Sensor, SensorUncertainty
 
 
 def sensor_to_message(sensor: Sensor, stamp: Time) -> SensorInfo:
@@ -66,7 +68,12 @@ def sensor_to_message(sensor: Sensor, stamp: Time) -> SensorInfo:
         mounting=MountingMessage(
             frame_id=sensor.mounting.frame_id,
             lever_arm=Vector3(x=x, y=y, z=z),
+            lever_arm_covariance=list(sensor.mounting.lever_arm_covariance or ()),
             rotation=Quaternion(**dict(zip("xyzw", sensor.mounting.rotation, strict=True))),
+            rotation_covariance=list(sensor.mounting.rotation_covariance or ()),
+        ),
+        uncertainty=UncertaintyMessage(
+            **{name: [] if value is None else [value] for name, value in vars(sensor.uncertainty).items()}
         ),
     )
 
@@ -113,6 +120,9 @@ def sensor_from_message(message: SensorInfo) -> Sensor:
         full_scale=channels.full_scale,
         mounting=_mounting_from_message(message.mounting),
         beam_uncertainty=message.beam_uncertainty,
+        uncertainty=SensorUncertainty(
+            **{one.name: _one_or_none(getattr(message.uncertainty, one.name)) for one in fields(SensorUncertainty)}
+        ),
         blanked_ranges=_blanked_ranges_from_message(message),
         calibration_id=message.calibration_id,
         config_hash=message.config_hash,
@@ -122,6 +132,12 @@ def sensor_from_message(message: SensorInfo) -> Sensor:
 def _numbers(values: npt.ArrayLike) -> tuple[float, ...]:
     """Numbers of a list as floats of Python, whose texts distinguish sensors."""
     return tuple(np.asarray(values, np.float64).tolist())
+
+
+def _one_or_none(values: npt.ArrayLike) -> float | None:
+    """The number of a list of one; None: the list is empty."""
+    numbers = _numbers(values)
+    return numbers[0] if numbers else None
 
 
 def _table_from_message(table: TableMessage) -> BeamTable:
@@ -149,7 +165,13 @@ def _blanked_ranges_from_message(message: SensorInfo) -> tuple[tuple[int, float,
 
 def _mounting_from_message(message: MountingMessage) -> Mounting:
     arm, turn = message.lever_arm, message.rotation
-    return Mounting(message.frame_id, (arm.x, arm.y, arm.z), (turn.x, turn.y, turn.z, turn.w))
+    return Mounting(
+        message.frame_id,
+        (arm.x, arm.y, arm.z),
+        (turn.x, turn.y, turn.z, turn.w),
+        _numbers(message.lever_arm_covariance) or None,
+        _numbers(message.rotation_covariance) or None,
+    )
 
 
 def calibration_to_message(

@@ -1,9 +1,10 @@
 """The whole procedure from phase history to heights.
 
-Read `dwell` first, then `channels` (the channels of a dwell, and their beams), `strip` (data that a strip keeps from
-block to block) and `moving` (movers in images).
+Read `dwell` first, then `channels` (the channels of a dwell, and their beams), `instrument` and `beam_errors` (accuracy
+of the sensor's description), `strip` (data that a strip keeps from block to block) and `moving` (movers in images).
 """
 
+from sal_height.pipeline.beam_errors import known_beams
 from sal_height.pipeline.channels import channel_sets, channels_and_beams, live_channels
 from sal_height.pipeline.dwell import Compressor, corrected_spectrum, elevations, heights, heights_of_dwells
 from sal_height.pipeline.moving import dwell_with_movers, movers
@@ -17,6 +18,7 @@ __all__ = [
     "elevations",
     "heights",
     "heights_of_dwells",
+    "known_beams",
     "live_channels",
     "movers",
 ]

@@ -14,16 +14,23 @@ from sal_height.errors import Rejected
 from sal_height.geometry import aperture_at
 from sal_height.imaging import Slc, image_beams
 from sal_height.numeric import C64, Bool, Index
-from sal_height.sensor import Channels, Sensor, with_powers
+from sal_height.sensor import KNOWN_BEAMS, BeamErrors, Channels, Sensor, with_powers
 
 NOISE_DIGITS = 9
 """Decimals of the ratios of channels' noise powers: rounding makes them differ from dwell to dwell in the 16th."""
 
 
 def channels_and_beams(
-    slc: Slc, sensor: Sensor, estimator: ElevationEstimator, calibration: Calibration | None, live: Index
+    slc: Slc,
+    sensor: Sensor,
+    estimator: ElevationEstimator,
+    calibration: Calibration | None,
+    live: Index,
+    errors: BeamErrors = KNOWN_BEAMS,
 ) -> tuple[Channels, Beams]:
     """The channels that an estimator uses, of those that are `live`, and their beams; other arguments as of `heights`.
+
+    The uncertainty of the beams follows from the errors of their description and from the calibration.
 
     They depend on the ratios of the noise powers, which are rounded to NOISE_DIGITS, and hardly ever change from dwell
     to dwell: these have the very same beams then, and all that is cached for them. Powers are in units of the highest.
@@ -32,7 +39,7 @@ def channels_and_beams(
     level = powers.max() if np.all(np.isfinite(powers) & (powers > 0)) else 1.0
     ratios = tuple(np.round(powers / level, NOISE_DIGITS).tolist())
     channels, beams = _channels_and_beams(
-        sensor, estimator.channels, calibration, slc.azimuth_window, tuple(live.tolist()), ratios
+        sensor, estimator.channels, calibration, errors, slc.azimuth_window, tuple(live.tolist()), ratios
     )
     return replace(channels, transform=channels.transform / np.sqrt(level)), beams
 
@@ -42,6 +49,7 @@ def _channels_and_beams(
     sensor: Sensor,
     make_channels: MakeChannels,
     calibration: Calibration | None,
+    errors: BeamErrors,
     azimuth_window: str,
     live: tuple[int, ...],
     noise_power: tuple[float, ...],
@@ -51,11 +59,15 @@ def _channels_and_beams(
     powers = np.zeros(sensor.detector_count)
     powers[indices] = noise_power
     channels = make_channels(with_powers(sensor.noise_covariance, powers)[square], sensor.mixing[square])
-    # The beams in the images, with the width and uncertainty of the calibration.
+    # The beams in the images, with the width of the calibration, and the uncertainty of both.
     beams = image_beams(sensor, azimuth_window)
     if calibration:
-        uncertainty = np.hypot(beams.uncertainty, calibration.beam_uncertainty(beams))
-        beams = replace(calibration.beams(beams), uncertainty=float(uncertainty))
+        left = calibration.beam_uncertainty(beams, errors)
+        beams = calibration.beams(beams)
+    else:
+        left = beams.uncertainty_by(errors.gain**2 + errors.phase**2, errors.width)
+    uncertainty = float(np.hypot(beams.uncertainty, left))
+    beams = replace(beams, uncertainty=uncertainty, pitch_uncertainty=errors.pitch)
     return channels, beams.detectors(indices).combined(channels.matrix)
 
 

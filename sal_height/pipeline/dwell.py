@@ -39,12 +39,13 @@ from sal_height.imaging import (
     cell_response,
     correct_dwell,
     focus_dwell,
-    with_known_errors,
     with_unknown_odometry,
 )
 from sal_height.numeric import Bool, Index, one_blas_thread
+from sal_height.pipeline.beam_errors import known_beams
 from sal_height.pipeline.channels import channel_sets, channels_and_beams, live_channels
 from sal_height.pipeline.fit import DwellFit, fit_of
+from sal_height.pipeline.instrument import with_instrument
 from sal_height.pipeline.strip import StripBuffer
 from sal_height.relief import HeightField, height_field, joined_rows, level_turn
 from sal_height.sensor import PhaseHistory, Sensor, count_saturated, range_compressed
@@ -90,10 +91,9 @@ class Compressor:
             slc: Slc | None = focus_dwell(corrected.history, corrected.track, corrected.sensor, settings)
         else:
             slc = self._strip.focus_block(corrected, settings, calibration)
-        # The corrections, and odometry whose accuracy nobody states, leave a common error of all pixels.
+        # The corrections and odometry leave a common error of all pixels, stated or assumed.
         if slc:
-            slc = replace(slc, aperture=with_known_errors(slc.aperture, corrected.sensor, settings))
-            slc = with_unknown_odometry(slc, corrected)
+            slc = with_unknown_odometry(with_instrument(slc, corrected.sensor, settings), corrected)
         # The calibration has raised the noise of channels that were weak.
         if slc and calibration:
             slc = replace(slc, noise_power=calibration.noise_gains(settings.range_window) * slc.noise_power)
@@ -243,7 +243,8 @@ def _observe(
     """Observe a dwell by the channels of the numbers `used`; other arguments and errors as of `elevations`."""
     images = slc.images if len(used) == len(slc.images) else slc.images[used]
     # 7  The channels that the estimator takes, of equal noise, or sum and difference; and their beams.
-    channels, beams = channels_and_beams(slc, sensor, estimator, calibration, used)
+    errors = known_beams(sensor, settings, calibration).errors
+    channels, beams = channels_and_beams(slc, sensor, estimator, calibration, used, errors)
     # 8  The height pixels.
     grid = look_grid(slc.grid, *settings.windows)
     # 9  The squint of each column; a target that moves is seen at another one than its pixel.

@@ -23,6 +23,7 @@ from sal_height.relief.position_error import (
     LEAST_POINTS,
     height_variance,
     measured_covariance,
+    pitch_covariance,
     pose_covariance,
 )
 
@@ -226,8 +227,9 @@ def height_field(
     The errors of elevation, of range and of Doppler are independent (`position_error.measured_covariance`); those
     of range and Doppler are there because the centre of the speckle within its cell is unknown, which limits the
     height at high CNR. The error of the platform's pose (`position_error.pose_covariance`) is common to all pixels of
-    the dwell, and that of uncertain beams (`beam_error.common_deviation`) to those of one elevation. The variance
-    of height is that of both parts along the vertical.
+    the dwell, and that of uncertain beams (`beam_error.common_deviation`) to those of one elevation; so is that of the
+    angles between the beams (`position_error.pitch_covariance`). The variance of height is that of both parts along the
+    vertical.
 
     Args:
         estimate: elevations of the pixels.
@@ -262,6 +264,9 @@ def height_field(
         by_beams, _ = measured_covariance(positions, aperture, shared, 0.0, 0.0)
         with np.errstate(invalid="ignore"):
             sigma = np.where(np.isfinite(sigma), np.sqrt(sigma**2 - shared**2), sigma)
+    if beams and beams.pitch_uncertainty:
+        by_pitch = pitch_covariance(positions, aperture, elevation - beams.axis_middle, beams.pitch_uncertainty)
+        by_beams = by_pitch if by_beams is None else by_beams + by_pitch
     own, climb = measured_covariance(positions, aperture, sigma, range_sigma, along_sigma)
     with np.errstate(divide="ignore", invalid="ignore"):
         cnr_db = 10 * np.log10(np.where(cnr > 0, cnr, np.nan))

@@ -166,6 +166,24 @@ def pose_covariance(positions: F64, aperture: ApertureState) -> F64 | None:
     return covariance
 
 
+def pitch_covariance(positions: F64, aperture: ApertureState, offset: F64, sigma: float) -> F64:
+    """Covariance (m^2) of positions from an error of the angles between the beams, which all dwells share.
+
+    Beams that are farther apart than described, by the fraction e, make an elevation wrong by e times its offset from
+    the middle of the array.
+
+    Args:
+        positions: positions of scatterers in map, m, shape (..., 3).
+        aperture: aperture from which they were seen.
+        offset: their elevations from the middle of the array, rad, shape (...).
+        sigma: standard deviation of e.
+
+    Returns:
+        In map axes, shape (..., 3, 3).
+    """
+    return measured_covariance(positions, aperture, sigma * np.abs(offset), 0.0, 0.0)[0]
+
+
 def height_variance(covariance: F64, positions: F64) -> F64:
     """Variance of height (m^2) of points with these covariances of position: that along their vertical.
 

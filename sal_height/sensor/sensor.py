@@ -16,6 +16,7 @@ from sal_height.beams import Beams, BeamTable, detector_pattern, tabulated_patte
 from sal_height.errors import UserError
 from sal_height.geometry import AT_BASE_LINK, Mounting
 from sal_height.numeric import C64, C128, F64, Bool
+from sal_height.sensor.uncertainty import NOTHING_STATED, SensorUncertainty
 
 NUFFT_TOLERANCE = 1e-7
 """Relative error of the non-uniform FFTs: less than the rounding of complex64 samples."""
@@ -156,6 +157,7 @@ class Sensor:
     # Uncertainty of the beams: rms error of the complex amplitude of each beam over its greatest one, in addition to
     # that of a calibration.
     beam_uncertainty: float = 0.0
+    uncertainty: SensorUncertainty = NOTHING_STATED  # of the rest of the description, but for the mounting
     # Slant ranges (m) over which a channel does not receive: (channel, first range, last range).
     blanked_ranges: tuple[tuple[int, float, float], ...] = ()
     calibration_id: str = ""  # calibration already applied by the sensor; empty: none
@@ -182,9 +184,7 @@ class Sensor:
         self._check_blanked_ranges()
         self._check_waveform()
         if not self.config_hash:
-            text = json.dumps(asdict(self), sort_keys=True, default=lambda value: (value.real, value.imag))
-            digest = hashlib.sha256(text.encode()).hexdigest()
-            object.__setattr__(self, "config_hash", digest[:16])
+            object.__setattr__(self, "config_hash", _digest(asdict(self)))
 
     def __hash__(self) -> int:
         """Hash of the config_hash, which is equal for equal sensors; all fields would take too long for every dwell."""
@@ -412,6 +412,20 @@ class Sensor:
             return receivers
         matrix = self.mixing
         return matrix @ receivers @ matrix.conj().T
+
+
+def _digest(values: dict[str, Any]) -> str:
+    """The first 16 hexadecimal digits of the SHA-256 of what a description states.
+
+    Uncertainties that it does not state are left out, so that descriptions that state none keep their identity.
+    """
+    for part in (values["uncertainty"], values["mounting"]):
+        for name in [name for name, value in part.items() if value is None]:
+            del part[name]
+    if not values["uncertainty"]:
+        del values["uncertainty"]
+    text = json.dumps(values, sort_keys=True, default=lambda value: (value.real, value.imag))
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 @lru_cache(maxsize=16)

@@ -26,6 +26,7 @@ from sal_height.simulation.preset import (
 )
 from sal_height.simulation.scene import Scene, VisibleSurface
 from sal_height.simulation.stripmap import mean_square_gain, simulate_block
+from sal_height.simulation.uncertainty_settings import UncertaintySettings
 
 __all__ = [
     "Impairments",
@@ -36,6 +37,7 @@ __all__ = [
     "RangeTaper",
     "Scene",
     "SimulatedFlight",
+    "UncertaintySettings",
     "VisibleSurface",
     "describe_beam_misfits",
     "flight_of",

@@ -22,6 +22,7 @@ from sal_height.errors import UserError
 from sal_height.geometry import Mounting, Origin, describe_implausible_pressure
 from sal_height.sensor import MAX_DETECTORS, Sensor
 from sal_height.simulation.impairments import UNIMPAIRED, Impairments
+from sal_height.simulation.uncertainty_settings import AS_SIMULATED, UncertaintySettings
 
 SHIPPED = Path(__file__).parents[1] / "presets"  # folder of the presets of the package
 BEAM_TABLES = ".csv"  # suffix of the file of measured beams that a preset may name as its pattern
@@ -93,6 +94,7 @@ class SensorSettings(StrictKeys):
     azimuth_aperture_m: Annotated[Float, Ge(1e-6), Le(1e4)] | None = None
     mounting: MountingSettings = MountingSettings()
     beam_uncertainty_db: Annotated[Float, Ge(-200), Lt(0)] | None = None
+    uncertainty: UncertaintySettings = AS_SIMULATED
     blanked_ranges: tuple[BlankedRange, ...] = ()
 
     @property
@@ -231,7 +233,7 @@ class Preset(StrictKeys):
             channel_matrix=matrix,
             matrix_in_antenna=in_antenna,
             full_scale=0.0 if level_db is None else float(10 ** (level_db / 20) / np.sqrt(2)),
-            mounting=Mounting(s.mounting.frame_id, s.mounting.lever_arm_m, (x, y, z, w)),
+            mounting=s.uncertainty.mounted(Mounting(s.mounting.frame_id, s.mounting.lever_arm_m, (x, y, z, w))),
             waveform=s.waveform,
             chirp_rate=s.bandwidth_hz / s.pulse_duration_s if s.pulse_duration_s else 0.0,
             pulse_duration=s.pulse_duration_s,
@@ -241,6 +243,7 @@ class Preset(StrictKeys):
             detector_rotation=s.detector_rotation_rad,
             beam_tables=tables,
             beam_uncertainty=0.0 if s.beam_uncertainty_db is None else 10 ** (s.beam_uncertainty_db / 20),
+            uncertainty=s.uncertainty.of_sensor,
             blanked_ranges=tuple((one.channel, one.first_m, one.last_m) for one in s.blanked_ranges),
         )
 

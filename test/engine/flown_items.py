@@ -17,8 +17,8 @@ from sal_height.engine.heights import height_stage
 from sal_height.engine.image_items import Images
 from sal_height.engine.provenance import Same
 from sal_height.engine.stage import DwellKey, Loss, Product, Stage
+from sal_height.engine.track import ACCURACY
 from sal_height.geometry import PlatformState
-from sal_height.renamed import BEFORE
 from sal_height.sensor import PhaseHistory, Sensor
 from sal_height.simulation import SimulatedFlight, flight_of, load_preset
 from sal_height.simulation.receiver_noise import receiver_noise
@@ -29,7 +29,10 @@ START_NS = 1_700_000_000_123_456_789
 Item = tuple[str, Any]
 """Name of a port, and what arrives on it."""
 
-SMALL = {"rows": 20, "cols": 8, **BEFORE["sar_compression"]}
+EXACT_ODOMETRY = dict.fromkeys(ACCURACY, 0.0)
+"""Parameters that state what the covariances of the flights, zeros, leave open."""
+
+SMALL = {"rows": 20, "cols": 8, **EXACT_ODOMETRY}
 """Images of the small preset that take little time, with its odometry, which is exact."""
 
 
@@ -53,7 +56,7 @@ class NoiseStrip(SimulatedFlight):
         return PhaseHistory(self.dwell_start_ns(dwell), self.pulse_times, reference, samples)
 
 
-STRIP = {"rows": 16, "cols": 128, **BEFORE["sar_compression"]}
+STRIP = {"rows": 16, "cols": 128, **EXACT_ODOMETRY}
 """Images of `noise_strip`: the third block completes the first one."""
 
 

@@ -26,7 +26,7 @@ from sal_height.beams.table import BeamTable
 from sal_height.elevation.array.estimate import MEASURED, ElevationEstimate, Scatterer, Validity, without_saturated
 from sal_height.errors import UserError
 from sal_height.geometry import Mounting
-from sal_height.sensor import lit_angle
+from sal_height.sensor import SensorUncertainty, lit_angle
 from sal_height.sensor.sensor import MAX_DETECTORS, MAX_SHARE, clipped, saturated_shares
 from sal_height.simulation import load_preset
 from sal_height.simulation.receiver_noise import received
@@ -195,6 +195,7 @@ OTHER_VALUES = {
     "mounting": Mounting(lever_arm=(0.0, 1.0, 0.0)),
     "calibration_id": "2026-01",
     "beam_uncertainty": 0.05,
+    "uncertainty": SensorUncertainty(range_delay=0.1),
     "blanked_ranges": ((1, 5000.0, 5010.0),),
 }
 OTHER_PULSE = {

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from sal_height.elevation.looks.look_windows import LOOK_WINDOWS, Window
-from sal_height.sensor import MAX_SHARE
+from sal_height.sensor import AS_DESCRIBED, MAX_SHARE
 from sal_height.settings import Settings, setting
 
 MISFIT_FRACTION = 0.03
@@ -12,6 +12,9 @@ MISFIT_FRACTION = 0.03
 It allows for the extent of the ground in a pixel: looks, and parts of a range cell, that differ in elevation leave a
 fraction of the power that does not depend on the CNR. Errors of the beams are counted separately (`beam_error`).
 """
+
+BEAM_PITCH, BEAM_WIDTH, CHANNEL_GAIN_DB = 0.01, 0.02, 0.5
+"""Standard deviations of the beams and channels of an array that nobody has calibrated: relative, and in dB."""
 
 
 class HeightSettings(Settings):
@@ -87,6 +90,30 @@ class HeightSettings(Settings):
         "highest fraction of clipped samples in a channel; above it, all heights of the dwell are marked SATURATED",
         minimum=0.0,
         maximum=1.0,
+    )
+
+    beam_pitch_sigma: float = setting(
+        AS_DESCRIBED,
+        "relative standard deviation of the angles between the beams, an error of elevation in proportion to the angle "
+        "from the middle of the array; 0: exact; -1: as the sensor's description states, or else "
+        f"{BEAM_PITCH:g}",
+        minimum=-1.0,
+        maximum=0.1,
+    )
+    beam_width_sigma: float = setting(
+        AS_DESCRIBED,
+        "relative standard deviation of the width of the beams where no calibration has measured it; 0: exact; -1: as "
+        f"the sensor's description states, or else {BEAM_WIDTH:g}",
+        minimum=-1.0,
+        maximum=1.0,
+    )
+    channel_gain_sigma_db: float = setting(
+        AS_DESCRIBED,
+        "standard deviation of the gain of each channel where no calibration has measured it; 0: exact; -1: as the "
+        f"sensor's description states, or else {CHANNEL_GAIN_DB:g} dB",
+        unit="dB",
+        minimum=-1.0,
+        maximum=20.0,
     )
 
     @property

@@ -2,9 +2,9 @@
 
 The provenance of products states every parameter of the nodes that made them, also those that were defaults when the
 bag was recorded. All of these values are used, so that the defaults of today apply only to parameters that did not
-exist then, except for those without which nodes worked in another way (`renamed.BEFORE`). Where the provenance says
-nothing, the custom data of the bag decide, and where these say nothing either, the parameter events of the nodes. Three
-kinds of values are exceptions:
+exist then; standard deviations among these, which are assumed today where nobody states them, are 0. Where the
+provenance says nothing, the custom data of the bag decide, and where these say nothing either, the parameter events of
+the nodes. Three kinds of values are exceptions:
 
 - Files. The provenance alone is no reason to open or write a file, for its path (`Setting.names_file`) may belong to
   another machine; custom data and parameter events decide on these parameters. A replay goes on without a file that
@@ -40,7 +40,7 @@ from sal_height.engine.registry import STAGES, takes_heights
 from sal_height.errors import UserError
 from sal_height.graph.catalogue import HEIGHTS, SETTABLE, TRACKER, NodeParameters, check_parameters, placed
 from sal_height.graph.reporting import PARAMETERS, PRESET, merged
-from sal_height.renamed import BEFORE, ENDED, with_new_names
+from sal_height.renamed import ENDED, with_new_names
 from sal_height.runs.chain.timeline import (
     EVENT,
     PROVENANCE,
@@ -51,6 +51,7 @@ from sal_height.runs.chain.timeline import (
     products_of,
     timeline_of,
 )
+from sal_height.sensor import AS_DESCRIBED
 from sal_height.settings import settings_of
 from sal_height.topics import MAP_ORIGIN
 
@@ -220,11 +221,13 @@ def _is_unmade(parameter: Parameter, value: Any, made: Collection[str]) -> bool:
 
 
 def _before(values: NodeParameters, stated: NodeParameters) -> dict[str, dict[str, Any]]:
-    """Values of parameters that nodes with stated values did not have yet, with which they work as they did then."""
-    return {
-        node: {name: value for name, value in BEFORE[node].items() if name not in values[node]}
-        for node in BEFORE.keys() & stated.keys()
-    }
+    """Standard deviations that nodes with stated values did not have yet, when nothing was assumed: 0."""
+    found = {}
+    for node in STAGES.keys() & stated.keys():
+        entries = settings_of(STAGES[node].settings).items()
+        assumed = [name for name, entry in entries if entry.default == AS_DESCRIBED]
+        found[node] = {name: 0.0 for name in assumed if name not in values[node]}
+    return found
 
 
 def _unlike(stated: NodeParameters, others: NodeParameters) -> dict[str, dict[str, Any]]:

@@ -21,6 +21,7 @@ from sal_height.bag.reader import BagReader
 from sal_height.bag.topics import CALIBRATION_TYPE, FIX_TYPE, FRAME_TYPE, ODOMETRY_TYPE, SENSOR_TYPE
 from sal_height.bag.writer import BagWriter
 from sal_height.elevation import ESTIMATORS
+from sal_height.engine.adjuster import NOT_STATED
 from sal_height.engine.height_items import Heights
 from sal_height.engine.image_items import Images
 from sal_height.engine.stage import DwellKey, Loss, Product
@@ -71,7 +72,7 @@ def adjust_bag(
     Raises:
         UserError: the bag cannot be used, no dwell of it can be adjusted, or a parameter or a setting is not allowed.
     """
-    sensors = sensors_of(Part().open(bag))[0].values()
+    sensors = list(sensors_of(Part().open(bag))[0].values())
     if not any(map(suited, sensors)):
         raise UserError(
             f"Bag {bag} is of a sensor with one detector, whose dwells have no heights to compare; adjust needs two or "
@@ -81,8 +82,8 @@ def adjust_bag(
         check_estimator(estimator, sensor)
     scheme = plan(bag, given, (estimator,))
     compression = scheme.values.get(COMPRESSION, {})
-    stated = {name: compression[name] for name in KNOWN if compression.get(name)}
-    settings = AdjustmentSettings(**{**stated, **wanted})
+    stated = {name: compression[name] for name in KNOWN if compression.get(name) not in NOT_STATED}
+    settings = AdjustmentSettings(**{**stated, **wanted}).described(next(iter(sensors)))
     folder = new_folder(out)
     with reporting(folder, {"bag": bag.name, "settings": settings.model_dump()}) as report:
         reader = scheme.reader

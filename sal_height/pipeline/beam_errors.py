@@ -1,0 +1,67 @@
+"""Accuracy of the beams and channels of a sensor: by parameters, description and calibration, or else assumed."""
+
+from __future__ import annotations
+
+from math import log
+from typing import NamedTuple
+
+import numpy as np
+
+from sal_height.calibration import Calibration
+from sal_height.doubts import Assumption, Doubt, doubts_of_assumed
+from sal_height.elevation import BEAM_PITCH, BEAM_WIDTH, CHANNEL_GAIN_DB, HeightSettings
+from sal_height.sensor import BeamErrors, Sensor, deviation_of
+
+BEAMS = "beams of unknown accuracy"
+"""Name of the doubt about what is assumed of beams and channels."""
+
+
+class KnownBeams(NamedTuple):
+    """Accuracy of the beams of a sensor.
+
+    Attributes:
+        errors: errors of the description; of those that a calibration measured, its standard errors count instead.
+        doubts: doubt about what is assumed of them.
+    """
+
+    errors: BeamErrors
+    doubts: tuple[Doubt, ...]
+
+
+def known_beams(sensor: Sensor, settings: HeightSettings, calibration: Calibration | None) -> KnownBeams:
+    """Accuracy of the beams of a sensor.
+
+    Where `Sensor.beam_uncertainty` is stated, it contains width and gains; nothing is assumed of these then.
+
+    Args:
+        sensor: sensor with its description.
+        settings: settings whose standard deviations replace those of the description.
+        calibration: calibration of the sensor; None: none.
+    """
+    described, nepers_per_db = sensor.uncertainty, log(10) / 20
+    in_db = None if described.channel_gain is None else described.channel_gain / nepers_per_db
+    is_stated = sensor.beam_uncertainty > 0
+    pitch = deviation_of(settings.beam_pitch_sigma, described.beam_pitch, BEAM_PITCH)
+    width = deviation_of(settings.beam_width_sigma, described.beam_width, 0.0 if is_stated else BEAM_WIDTH)
+    gain = deviation_of(settings.channel_gain_sigma_db, in_db, 0.0 if is_stated else CHANNEL_GAIN_DB)
+    measured = calibration is not None and np.isfinite(calibration.width_sigma)
+    all_measured = calibration is not None and bool(np.all(np.isfinite(calibration.gain_sigma)))
+    assumed = [
+        Assumption(what, parameter)
+        for what, parameter, counts in (
+            (f"distance between the beams {pitch.sigma:.3g} of it", "beam_pitch_sigma", pitch.is_assumed),
+            (
+                f"width of the beams {width.sigma:.3g} of it",
+                "beam_width_sigma",
+                width.is_assumed and width.sigma and not measured,
+            ),
+            (
+                f"gain of each channel {gain.sigma:.3g} dB",
+                "channel_gain_sigma_db",
+                gain.is_assumed and gain.sigma and not all_measured,
+            ),
+        )
+        if counts
+    ]
+    errors = BeamErrors(pitch.sigma, width.sigma, nepers_per_db * gain.sigma, described.channel_phase or 0.0)
+    return KnownBeams(errors, doubts_of_assumed(BEAMS, assumed))

@@ -14,6 +14,7 @@ from sal_height.calibration.calibration import Calibration
 from sal_height.calibration.files import load_calibration, save_calibration
 from sal_height.errors import UserError
 from sal_height.numeric.windows import window
+from sal_height.sensor import BeamErrors
 from sal_height.sensor.sensor import PhaseHistory
 
 SENSOR = make_sensor()
@@ -42,6 +43,22 @@ def test_standard_errors_are_an_uncertainty_of_the_beams() -> None:
     expected = 0.01 * np.sqrt(np.mean((offsets * beams.slope(directions, 0.0)) ** 2))
     assert width == pytest.approx(expected, rel=0.05)
     assert made(response).beam_uncertainty(beams) == 0
+
+
+def test_what_a_calibration_measured_replaces_what_is_assumed_of_it() -> None:
+    beams, response = SENSOR.beams, np.ones(SHAPE)
+    assumed, unknown = BeamErrors(width=0.02, gain=0.06), np.full(SHAPE[0], np.nan)
+    nothing = made(response, gain_sigma=unknown, phase_sigma=unknown)
+    by_gains = nothing.beam_uncertainty(beams, assumed._replace(width=0.0))
+    by_width = nothing.beam_uncertainty(beams, assumed._replace(gain=0.0))
+    assert by_gains == pytest.approx(0.06)
+    assert nothing.beam_uncertainty(beams, assumed) == pytest.approx(np.hypot(by_gains, by_width))
+    gains = made(response, gain_sigma=np.full(SHAPE[0], 0.001)).beam_uncertainty(beams, assumed)
+    assert gains == pytest.approx(np.hypot(0.001, by_width))
+    width = made(response, gain_sigma=unknown, width_sigma=1e-9).beam_uncertainty(beams, assumed)
+    assert width == pytest.approx(0.06)
+    one = made(response, gain_sigma=np.array([0.0, np.nan, 0.0])).beam_uncertainty(beams, BeamErrors(gain=0.06))
+    assert one == pytest.approx(0.06 / np.sqrt(3))
 
 
 PUPIL = {

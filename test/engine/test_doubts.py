@@ -15,7 +15,10 @@ from sal_height.engine.compression import Compression, CompressionSettings
 from sal_height.engine.frame_items import Frame
 from sal_height.engine.height_items import Heights
 from sal_height.engine.stage import Notice, Product
-from sal_height.topics import ODOMETRY, PHASE_HISTORY
+from sal_height.pipeline.beam_errors import BEAMS
+from sal_height.pipeline.instrument import INSTRUMENT
+from sal_height.sensor import NOTHING_STATED
+from sal_height.topics import ODOMETRY, PHASE_HISTORY, SENSOR_INFO
 
 
 def test_heights_have_the_doubts_about_their_images() -> None:
@@ -77,3 +80,18 @@ def test_data_that_contradict_the_description_are_a_doubt_and_a_warning() -> Non
 def louder(frame: Frame) -> Frame:
     """The frame with samples of ten times the amplitude."""
     return frame._replace(samples=(np.float32(10) * frame.samples.view(np.float32)).view(np.uint8))
+
+
+def test_heights_say_what_is_assumed_of_their_instrument_and_beams() -> None:
+    """Images have the one, heights both; the description of the preset is exact, and has neither."""
+    flight, settings = small_flight(), CompressionSettings(**SMALL)
+    sensor = replace(flight.sensor, uncertainty=NOTHING_STATED)
+    items = [(port, sensor if port == SENSOR_INFO else item) for port, item in flight_items(flight, dwells=[0])]
+    ml = ml_stage()
+    chosen = [settings, type(ml).settings()]
+    found = made([Compression(settings), ml], chosen, items, "ml/height")
+    heights: Heights = found[0]
+    assert [doubt.name for doubt in heights.doubts] == [INSTRUMENT, BEAMS]
+    assert "boresight" not in heights.doubts[0].sentence  # the mounting is that of the preset
+    known = made([Compression(settings), ml_stage()], chosen, flight_items(flight, dwells=[0]), "ml/height")
+    assert known[0].doubts == ()

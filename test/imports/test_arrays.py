@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,10 +22,11 @@ from sal_height.errors import UserError
 from sal_height.geometry import Origin, PlatformState, rotation_matrix
 from sal_height.imports import Collection, import_arrays, level_states, read_track, write_collection
 from sal_height.imports.arrays import OF_TRACK
+from sal_height.imports.collection import read_description
 from sal_height.imports.track import SBET
 from sal_height.runs.live.sensor_bag import record_sensor
 from sal_height.runs.replay.bag_replay import replay
-from sal_height.sensor import PhaseHistory
+from sal_height.sensor import NOTHING_STATED, PhaseHistory, SensorUncertainty
 from sal_height.simulation import SimulatedFlight, flight_of, load_preset
 
 SEED, DWELLS = 3, 2
@@ -50,6 +51,7 @@ def description_of(flight: SimulatedFlight, **changes: Any) -> dict[str, Any]:
         "pattern": sensor.pattern,
         "elevation_boresights_rad": list(sensor.elevation_boresights),
         "noise_power": list(sensor.noise_power),
+        "uncertainty": asdict(preset.sensor.uncertainty),
         "processing": {"sar_compression": {"rows": preset.image.rows, "cols": preset.image.cols}},
         **changes,
     }
@@ -121,6 +123,17 @@ def test_arrays_give_the_heights_of_the_flight(
 
 def looks(flight: SimulatedFlight) -> dict[str, int]:
     return dict(zip(("range_looks", "azimuth_looks"), flight.preset.looks, strict=True))
+
+
+def test_what_a_description_does_not_state_of_its_accuracy_is_unknown(flight: SimulatedFlight, tmp_path: Path) -> None:
+    size = 64, 64, 1000.0
+    path = tmp_path / "mine.yaml"
+    sensor = read_description(write_description(path, description_of(flight, uncertainty={}))).sensor(*size)
+    assert (sensor.uncertainty, sensor.mounting.rotation_covariance) == (NOTHING_STATED, None)
+    stated = {"range_delay_m": 0.02, "beam_pitch": 0.0, "lever_arm_m": 0.1}
+    sensor = read_description(write_description(path, description_of(flight, uncertainty=stated))).sensor(*size)
+    assert sensor.uncertainty == SensorUncertainty(range_delay=0.02, beam_pitch=0.0)
+    assert sensor.mounting.lever_arm_covariance == pytest.approx(tuple((0.01 * np.eye(3)).ravel()))
 
 
 def test_a_collection_is_written_by_ten_lines_of_python(flight: SimulatedFlight, tmp_path: Path) -> None:

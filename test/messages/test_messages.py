@@ -37,6 +37,7 @@ from sal_height.messages.types import (
     Waveform,
 )
 from sal_height.relief.heights import HeightField, Surface
+from sal_height.sensor import SensorUncertainty
 from sal_height.sensor.sensor import MODES, WAVEFORMS, PhaseHistory, Sensor
 from sal_height.simulation.preset import load_preset
 
@@ -87,6 +88,8 @@ RANGES = ((0, 10.0, 20.0), (3, 4990.5, 5000.25), (3, 6000.0, 7000.0))
         {"channel_matrix": MATRIX, "matrix_in_antenna": False},
         {"mounting": Mounting("lidar", (0.5, -1.0, 0.25), (0.0, 0.6, 0.0, 0.8)), "azimuth_diameter": 0.02},
         {"beam_uncertainty": 0.056, "blanked_ranges": RANGES},
+        {"uncertainty": SensorUncertainty(range_delay=0.0, beam_pitch=0.01), "mounting": Mounting("without accuracy")},
+        {"mounting": Mounting(lever_arm_covariance=(1e-4, *8 * (0.0,)), rotation_covariance=(0.0,) * 9)},
     ],
     ids=" ".join,
 )
@@ -105,6 +108,22 @@ def test_blanked_ranges_that_make_no_sense_are_refused(
     message = messages.sensor_to_message(sensor, STAMP)
     message.channels.blanked_channels, message.channels.blanked_ranges = channels, edges
     with refused(UserError, complaint):
+        messages.sensor_from_message(message)
+
+
+@pytest.mark.parametrize("wrong", [[1.0], [1.0, 2.0, *7 * [0.0]], [-1.0, *8 * [0.0]], [np.nan, *8 * [0.0]]])
+def test_a_mounting_with_a_matrix_that_is_no_covariance_is_refused(sensor: Sensor, wrong: list[float]) -> None:
+    message = messages.sensor_to_message(sensor, STAMP)
+    message.mounting.rotation_covariance = wrong
+    with refused(UserError, "rotation_covariance", "symmetric"):
+        messages.sensor_from_message(message)
+
+
+@pytest.mark.parametrize("wrong", [-0.01, np.nan, np.inf])
+def test_an_uncertainty_that_is_no_standard_deviation_is_refused(sensor: Sensor, wrong: float) -> None:
+    message = messages.sensor_to_message(sensor, STAMP)
+    message.uncertainty.sample_clock = [wrong]
+    with refused(UserError, "uncertainty.sample_clock", "0 or more"):
         messages.sensor_from_message(message)
 
 

@@ -18,7 +18,7 @@ from sal_height.beams import pattern_named
 from sal_height.errors import UserError
 from sal_height.imaging.pixels import slant_plane_grid
 from sal_height.numeric.windows import broadening, window
-from sal_height.sensor import lit_angle
+from sal_height.sensor import EXACT, NOTHING_STATED, SensorUncertainty, lit_angle
 from sal_height.sensor.sensor import Sensor
 from sal_height.sensor.waveform import spectrum_sensor
 from sal_height.simulation.flight import SimulatedFlight, flight_of
@@ -661,3 +661,18 @@ def test_impairments_survive_the_file_that_a_run_leaves(tmp_path: Path) -> None:
     path = tmp_path / "preset.yaml"
     path.write_text(yaml.safe_dump(json.loads(json.dumps(asdict(preset)))))
     assert load_preset(str(path)) == preset
+
+
+def test_a_preset_is_exact_unless_it_states_an_uncertainty() -> None:
+    """What a given one leaves out is not stated."""
+    sensor = sensor_with()
+    assert sensor.uncertainty == EXACT
+    assert (sensor.mounting.lever_arm_covariance, sensor.mounting.rotation_covariance) == ((0.0,) * 9, (0.0,) * 9)
+    sensor = sensor_with(uncertainty={})
+    assert sensor.uncertainty == NOTHING_STATED
+    assert (sensor.mounting.lever_arm_covariance, sensor.mounting.rotation_covariance) == (None, None)
+    sensor = sensor_with(uncertainty={"channel_gain_db": 1.0, "boresight_rad": 0.001})
+    gain = sensor.uncertainty.channel_gain
+    assert gain == pytest.approx(0.1151, abs=1e-4)
+    assert sensor.uncertainty == SensorUncertainty(channel_gain=gain)
+    assert sensor.mounting.rotation_covariance == pytest.approx((1e-6, 0, 0, 0, 1e-6, 0, 0, 0, 1e-6))

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from helpers import make_sensor
 from scipy.spatial.transform import Rotation
 from test_observed import ERRORS, LAYOUT, imaged, observed
 
@@ -31,9 +32,11 @@ from sal_height.adjustment.observed import (
     pose,
     pose_jacobian,
 )
-from sal_height.geometry import Mounting, PlatformState, Trajectory, height_of, sphere_coordinates
+from sal_height.elevation import BEAM_PITCH
+from sal_height.geometry import Mounting, PlatformState, Trajectory, angles_of, height_of, sphere_coordinates
 from sal_height.numeric import F64
-from sal_height.relief import pose_covariance
+from sal_height.relief import pitch_covariance, pose_covariance
+from sal_height.sensor import NOTHING_STATED, SensorUncertainty
 
 MOUNTING = Mounting("sensor", (1.2, -0.7, -0.5), tuple(Rotation.from_rotvec([0.1, 0.02, -0.3]).as_quat().tolist()))
 KNOTS = np.array([0.0, 10.0])
@@ -156,6 +159,38 @@ def pose_error(name: str) -> F64:
     for number, size in ERRORS[name].unknowns:
         values[number] = size
     return form.values @ values + form.constant
+
+
+def test_the_error_of_the_angles_between_beams_that_is_left_replaces_the_one_that_heights_had() -> None:
+    slc, field, _ = imaged(0, None)
+    dwell, first = observed(0, slc, field), field.first
+    _, elevation, _ = angles_of(first.positions, slc.aperture, dwell.look_side)
+    offset = np.asarray(elevation) - dwell.axis_middle
+    by_pitch = pitch_covariance(first.positions, slc.aperture, offset, 0.01)
+    known, left = (
+        (np.zeros_like(by_pitch) if first.common_covariance is None else first.common_covariance),
+        EXACT.copy(),
+    )
+    left[STRETCH, STRETCH] = 0.004**2
+    stated = replace(field, surfaces=(replace(first, common_covariance=known + by_pitch),))
+    exact, better, kept = (
+        corrected_heights(stated, dwell, PoseError(np.zeros(POSE), covariance), sigma).first.common_covariance
+        for covariance, sigma in ((EXACT, 0.01), (left, 0.01), (EXACT, 0.0))
+    )
+    assert exact is not None
+    assert better is not None
+    assert kept is not None
+    np.testing.assert_allclose(kept - exact, by_pitch, rtol=1e-3, atol=1e-9)
+    np.testing.assert_allclose(better - exact, 0.16 * by_pitch, rtol=1e-3, atol=1e-9)
+    assert np.nanmax(by_pitch[..., 2, 2]) > 1e-4
+
+
+def test_angles_between_beams_are_known_as_described() -> None:
+    settings, nothing = AdjustmentSettings(), make_sensor(uncertainty=NOTHING_STATED)
+    assert settings.described(nothing).pitch_sigma == BEAM_PITCH == 0.01
+    assert settings.described(make_sensor(uncertainty=SensorUncertainty(beam_pitch=0.002))).pitch_sigma == 0.002
+    assert settings.described(make_sensor()).pitch_sigma == 0.0
+    assert settings.changed(pitch_sigma=0.0).described(nothing).pitch_sigma == 0.0
 
 
 @pytest.mark.parametrize("name", ["position y", "attitude x", "boresight x", "lever arm z", "delay"])

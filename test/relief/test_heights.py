@@ -115,6 +115,29 @@ def test_sigma_of_height_is_that_of_elevation_across_the_sight_and_that_of_range
     np.testing.assert_allclose(field.first.sigma, slant_range * np.sin(elevation), rtol=1e-3)
 
 
+def test_an_error_of_the_angles_between_beams_is_common_and_grows_from_the_middle_of_the_array() -> None:
+    """By as much as heights change if the beams are farther apart by a standard deviation."""
+    aperture, beams = make_aperture(), make_sensor().beams
+    grid, rows = slant_grid(aperture), np.full((3, 1), 14.5)
+    offset = np.array([[-1e-4], [0.0], [2e-4]])
+    looks, elevation = looks_at(rows, 0 * rows + 9.5), beams.axis_middle + offset
+    seen, off, known = (
+        height_field(estimate_of(angles, 1e-5), looks, grid, grid, aperture, 1, 0.0, of).first
+        for angles, of in (
+            (elevation, replace(beams, pitch_uncertainty=0.01)),
+            (elevation + 0.01 * offset, beams),
+            (elevation, beams),
+        )
+    )
+    assert known.common_covariance is None
+    assert seen.common_covariance is not None
+    deviation = np.sqrt(seen.common_covariance[..., 2, 2])
+    np.testing.assert_allclose(deviation, np.abs(off.height - known.height), rtol=1e-3, atol=1e-9)
+    assert deviation[2, 0] > 5e-3
+    np.testing.assert_array_equal(seen.own_covariance, known.own_covariance)
+    np.testing.assert_allclose(seen.sigma, np.hypot(known.sigma, deviation), rtol=1e-4)
+
+
 def pose_sigma(aperture: ApertureState, covariance: np.ndarray, side: int, row: float, col: float) -> np.ndarray:
     """What `covariance` adds in quadrature to the sigma of height of a pixel that looks at the middle of the beams."""
     grid, elevation = slant_grid(aperture, side), np.full((1, 1), np.pi / 4)

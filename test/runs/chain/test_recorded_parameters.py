@@ -163,6 +163,15 @@ def test_odometry_is_exact_in_bags_of_before_it_could_be_stated(tmp_path: Path) 
             assert found["sar_compression"].items() >= exact_then("sar_compression").items()
 
 
+def test_a_deviation_that_is_stated_anywhere_is_not_one_from_before(tmp_path: Path) -> None:
+    """The provenance is of a program that did not know it."""
+    said = [frame(0), heights(0, ml_height={"range_looks": 4})]
+    found = processing(written(tmp_path / "bag", said, custom(ml_height={"beam_pitch_sigma": 0.002})))
+    values, sources = found.values["ml_height"], found.sources["ml_height"]
+    assert (values["beam_pitch_sigma"], sources["beam_pitch_sigma"]) == (0.002, "custom data of the bag")
+    assert (values["beam_width_sigma"], sources["beam_width_sigma"]) == (0.0, "provenance")
+
+
 def test_values_that_differ_between_products_are_changes_in_flight(tmp_path: Path) -> None:
     """Those that were defaults then, too."""
     said = [

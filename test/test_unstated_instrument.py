@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers import flat_scene, make_sensor
+from scipy.spatial.transform import Rotation
 
 from sal_height.elevation import ESTIMATORS, HeightSettings, MlSettings
 from sal_height.geometry import AT_BASE_LINK
@@ -149,7 +150,7 @@ def test_a_covariance_of_the_mounting_is_in_the_axes_of_the_platform(slcs: tuple
     sensor = described(AS_SIMULATED)
     turned = replace(sensor.mounting, rotation=(0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5)))
     turned = replace(turned, lever_arm_covariance=(0.04, *8 * (0.0,)), rotation_covariance=(1e-6, *8 * (0.0,)))
-    base = slcs[1].aperture
+    base = replace(slcs[1].aperture, rotation=Rotation.from_euler("z", 0.5).as_matrix())
     aperture = replace(base, rotation=base.rotation @ turned.axes.as_matrix())
     found = with_known_errors(aperture, replace(sensor, mounting=turned), CorrectionSettings(), RANGE).covariance
     ahead = base.rotation[:, 0]

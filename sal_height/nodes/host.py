@@ -396,7 +396,7 @@ class StageNode(WorkerNode):
                 self._log_trace(one.trace)
             elif isinstance(one, Notice):
                 self._log_trace(one.trace)
-                self.ignore(one.kind, UserError(one.sentence))
+                (self.ignore if one.dwell is None else self.doubt)(one.kind, UserError(one.sentence))
             elif isinstance(one, Event):
                 count = self.tell if one.name == CALIBRATIONS_ARRIVED else self.tally.note
                 count(one.name)

@@ -95,6 +95,7 @@ class WorkerNode(Role, Managed):
         self.steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
         self._jobs = JobQueue()
         self._lost_at = self._warned_at = -math.inf
+        self._doubted = set[str]()  # kinds that the log has
         self._pace = Pace()
         self._measured = 0
         self._slow_numbers: dict[str, Any] = {}
@@ -366,6 +367,13 @@ class WorkerNode(Role, Managed):
         """Count a message of no dwell (sensor info, odometry, ...) that cannot be used, and log why."""
         self.count_ignored(what, error)
         self._warn(f"Ignored {what}: {error}")
+
+    def doubt(self, what: str, error: UserError) -> None:
+        """Count a dwell that is used although something speaks against it, and log the first of each kind."""
+        if what not in self._doubted:
+            self._doubted.add(what)
+            self.get_logger().warning(f"{error} (Logged once; diagnostics count such dwells as {what!r}.)")
+        self.count_ignored(what, error)
 
     def count_ignored(self, what: str, error: UserError) -> None:
         """Count a message that cannot be used, or something else that goes wrong, without a word in the log."""

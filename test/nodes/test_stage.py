@@ -312,3 +312,18 @@ def test_the_level_tells_of_the_last_seconds_and_the_counts_of_all_time(
     monkeypatch.setattr(listening._inlets[0], "latched", True)
     assert state(graph, listening)[:2] == (DiagnosticStatus.OK, "processing")
     assert listening.tally.summary()["ignored.word"] == 1
+
+
+def test_what_speaks_against_dwells_is_logged_once_and_counted_each_time(
+    listening: Listening, capfd: pytest.CaptureFixture[str]
+) -> None:
+    for dwell in range(3):
+        listening.doubt("odometry", UserError(f"Dwell {dwell}: nobody knows."))
+        listening.doubt("noise level", UserError(f"Dwell {dwell}: too loud."))
+    logged = [line for line in capfd.readouterr().err.splitlines() if "[listening]" in line]
+    assert [line.partition("]: ")[2].partition(" (")[0] for line in logged] == [
+        "Dwell 0: nobody knows.",
+        "Dwell 0: too loud.",
+    ]
+    summary = listening.tally.summary()
+    assert (summary["ignored.odometry"], summary["ignored.noise level"]) == (3, 3)

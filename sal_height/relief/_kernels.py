@@ -186,6 +186,9 @@ def variances_across(covariance: F64, slope: F64, steepest: float, variance: F64
 def find_semidefinite(matrices: F64, rounding: float, found: Bool) -> None:
     """Mark the covariances of `Surface.is_possible`.
 
+    An error that moves points across the flight alone has next to no variance along it, which float32 may round to 0
+    where covariances with it are not 0: each variance may be larger by a millionth of the greatest deviation, squared.
+
     Args:
         matrices: symmetric, shape (n, 3, 3).
         rounding: of a principal minor, over the product of its variances.
@@ -193,7 +196,8 @@ def find_semidefinite(matrices: F64, rounding: float, found: Bool) -> None:
     """
     for i in range(len(found)):
         m = matrices[i]
-        a, b, c, ab, ac, bc = m[0, 0], m[1, 1], m[2, 2], m[0, 1], m[0, 2], m[1, 2]
+        least = 1e-12 * (m[0, 0] + m[1, 1] + m[2, 2])
+        a, b, c, ab, ac, bc = m[0, 0] + least, m[1, 1] + least, m[2, 2] + least, m[0, 1], m[0, 2], m[1, 2]
         alone = a >= 0 and b >= 0 and c >= 0 and a + b + c < np.inf
         limit = 1 + rounding
         pairs = squared(ab) <= limit * a * b and squared(ac) <= limit * a * c and squared(bc) <= limit * b * c

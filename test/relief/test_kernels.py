@@ -162,6 +162,16 @@ def test_covariances_are_the_matrices_without_a_negative_eigenvalue() -> None:
     assert 100 < np.count_nonzero(found) < 300
 
 
+def test_an_error_across_the_flight_alone_may_have_lost_its_variance_along_it() -> None:
+    """Single precision rounds 1e-49 to 0, but not the covariance of 1e-25; one of 1e-9 is no rounding."""
+    matrices = np.diag([0.0, 1.5e-4, 1.1e-4])[None].repeat(2, axis=0)
+    matrices[0, 0, 1] = matrices[0, 1, 0] = -1.2e-25
+    matrices[1, 0, 1] = matrices[1, 1, 0] = 1e-5 * 1.5e-4
+    found = np.empty(2, np.bool_)
+    kernels.find_semidefinite(matrices, 1e-5, found)
+    assert found.tolist() == [True, False]
+
+
 @pytest.mark.parametrize(("shape", "half"), [((20, 11), 1), ((20, 11), 4), ((3, 30), 5), ((1, 1), 2)])
 def test_means_of_windows(shape: tuple[int, int], half: int) -> None:
     values, means = np.random.default_rng(3).standard_normal(shape), np.empty(shape)

@@ -8,10 +8,12 @@ by a few percent; near the ground, and for radio waves, vapour changes it by mor
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
+from scipy.constants import speed_of_light
 
 from sal_height.errors import UserError
 from sal_height.numeric import F64
@@ -25,7 +27,19 @@ LIGHT_M = 0.3e-6, 15e-6
 RADIO_M = 1e-3
 """Least wavelength of radio waves; between light and them, air absorbs and its refractivity varies."""
 
-_LAPSES = ((0.0, 288.15, -6.5e-3), (11_000.0, 216.65, 0.0), (20_000.0, 216.65, 1e-3))
+LOWEST_M, TOP_M = -1000.0, 80_000.0
+"""Heights above sea level (m) between which there is air. The air above has a hundred-thousandth of the refractivity
+left, and delays an echo by 30 µm."""
+
+_LAPSES = (
+    (0.0, 288.15, -6.5e-3),
+    (11_000.0, 216.65, 0.0),
+    (20_000.0, 216.65, 1e-3),
+    (32_000.0, 228.65, 2.8e-3),
+    (47_000.0, 270.65, 0.0),
+    (51_000.0, 270.65, -2.8e-3),
+    (71_000.0, 214.65, -2e-3),
+)
 """Base height (m), temperature (K) and change of it with height (K/m) of the layers of the standard atmosphere."""
 
 _SEA_LEVEL_PA, _GRAVITY, _GAS_CONSTANT = 101_325.0, 9.80665, 287.053
@@ -76,17 +90,18 @@ class Atmosphere:
         return cls(warmer, pressure / unscaled, float(density * np.exp(height / _VAPOUR_SCALE_M)))
 
     def at(self, height: F64) -> tuple[F64, F64, F64]:
-        """Temperature (K), pressure and partial pressure of water vapour (Pa) at heights above sea level (m)."""
+        """Temperature (K), pressure and partial pressure of vapour (Pa) at heights above sea level (m), up to TOP_M."""
         temperature, pressure = np.empty_like(height), np.empty_like(height)
         base_pressure = self.sea_level_pressure
         for number, (base, standard, lapse) in enumerate(_LAPSES):
-            above, at_base = height - base, standard + self.warmer
-            inside = above >= 0 if number else np.ones_like(height, np.bool_)
+            inside = np.ones_like(height, np.bool_) if not number else height >= base
+            if not inside.any():
+                break
+            top = _LAPSES[number + 1][0] if number + 1 < len(_LAPSES) else TOP_M
+            above, at_base = np.minimum(height, top) - base, standard + self.warmer
             temperature[inside] = at_base + lapse * above[inside]
             pressure[inside] = base_pressure * _pressure_ratio(above[inside], at_base, lapse)
-            if number + 1 < len(_LAPSES):
-                thickness = np.array(_LAPSES[number + 1][0] - base)
-                base_pressure *= float(_pressure_ratio(thickness, at_base, lapse))
+            base_pressure *= float(_pressure_ratio(np.array(top - base), at_base, lapse))
         density = self.vapour * np.exp(-height / _VAPOUR_SCALE_M)
         return temperature, pressure, density * _VAPOUR_CONSTANT * temperature
 
@@ -160,6 +175,22 @@ def refractivities(height: F64, wavelength: float, air: Atmosphere = STANDARD_AT
     return density * phase, density * group
 
 
+def electron_delay(wavelength: float, sensor_height: float) -> float:
+    """Delay by the free electrons of the ionosphere straight down, m, of 50 TECU (5e17 electrons/m^2) above the ground.
+
+    It is 40.3 m^3/s^2 times their number below the sensor over the square of the frequency. They lie as in a layer of
+    Chapman's around 350 km with a scale height of 60 km, so that there are none below an aircraft. 50 TECU are those of
+    a day when the sun is active; a quiet night has 5.
+
+    Args:
+        wavelength: wavelength in vacuum, m.
+        sensor_height: height of the sensor above sea level, m.
+    """
+    scale_heights = (sensor_height - 350e3) / 60e3
+    below = 5e17 * math.erfc(math.exp(-scale_heights / 2) / math.sqrt(2))
+    return 40.3 * below * (wavelength / speed_of_light) ** 2
+
+
 def path_through_air(
     wavelength: float,
     sensor_height: float,
@@ -169,37 +200,45 @@ def path_through_air(
 ) -> AirPath:
     """Delay and bend of the path from a sensor to the ground.
 
-    By Snell's law n sin(angle) is the same in all layers; the path to the target is found by Newton's method.
+    By Snell's law n sin(angle) is the same in all layers; the path to the target is found by Newton's method. Above the
+    air it is straight.
 
     Args:
         wavelength: wavelength in vacuum, m.
         sensor_height: height of the sensor above sea level, m.
-        ground_height: height of the ground above sea level, below the sensor, m.
+        ground_height: height of the ground above sea level, below the sensor and below the top of the air, m.
         off_nadir: angle of the straight line from sensor to target, from 0 to less than pi / 2, rad.
         air: state of the air between them.
 
     Raises:
-        UserError: a height is outside of the atmosphere, the sensor is not above the ground, or the wavelength is of
-            neither light nor radio waves.
+        UserError: the ground is outside of the atmosphere, the sensor is not above it, or the wavelength is of neither
+            light nor radio waves.
     """
-    lowest, highest = -1000.0, 32_000.0  # the air above has 1 % of the refractivity left
-    if not lowest <= ground_height < sensor_height <= highest:
+    top = min(sensor_height, TOP_M)
+    if not LOWEST_M <= ground_height < top:
         raise UserError(
-            f"The air between a sensor at {sensor_height:g} m and ground at {ground_height:g} m is not known; allowed "
-            f"are heights from {lowest:g} to {highest:g} m above sea level, with the sensor above the ground."
+            f"The air between a sensor at {sensor_height:g} m and ground at {ground_height:g} m above sea level is not "
+            f"known; the ground must be at {LOWEST_M:g} to {TOP_M:g} m, and the sensor above it. State map_height_m, "
+            "the height of the map's origin above sea level, or set air to none."
         )
-    layers = 2000  # the delay is then within a micrometre
-    step = (sensor_height - ground_height) / layers
+    above_air = sensor_height - top
+    layers = 2000  # the delay is then within a micrometre, or 0.1 mm from 80 km on
+    step = (top - ground_height) / layers
     heights = ground_height + step * (np.arange(layers, dtype=np.float64) + 0.5)
     phase, group = refractivities(np.asarray(heights, dtype=np.float64), wavelength, air)
-    there, _ = refractivities(np.array([sensor_height]), wavelength, air)
-    ratio = (1 + there[0]) / (1 + phase)
+    there = refractivities(np.array([top]), wavelength, air)[0][0] if not above_air else 0.0
+    ratio = (1 + there) / (1 + phase)
     goal = (sensor_height - ground_height) * np.tan(off_nadir)
     sine = np.sin(off_nadir)
-    for _ in range(8):
-        steep = 1 / np.sqrt(1 - (ratio * sine) ** 2)
-        sine -= (step * np.sum(ratio * sine * steep) - goal) / (step * np.sum(ratio * steep**3))
-    steep = 1 / np.sqrt(1 - (ratio * sine) ** 2)
+    most_iterations = 8
+    for _ in range(most_iterations):
+        steep, free = 1 / np.sqrt(1 - (ratio * sine) ** 2), 1 / np.sqrt(1 - sine**2)
+        reached = step * np.sum(ratio * sine * steep) + above_air * sine * free
+        change = (reached - goal) / (step * np.sum(ratio * steep**3) + above_air * free**3)
+        sine -= change
+        if abs(change) < 1e-15:
+            break
+    steep, free = 1 / np.sqrt(1 - (ratio * sine) ** 2), 1 / np.sqrt(1 - sine**2)
     straight = (sensor_height - ground_height) / np.cos(off_nadir)
-    delay = step * np.sum(group * steep) + (step * np.sum(steep) - straight)
+    delay = step * np.sum(group * steep) + (step * np.sum(steep) + above_air * free - straight)
     return AirPath(float(delay), float(np.arcsin(sine) - off_nadir))

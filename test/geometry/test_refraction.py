@@ -69,11 +69,36 @@ def test_what_air_does_to_heights_of_the_presets() -> None:
 
 @pytest.mark.parametrize(
     ("wavelength", "sensor", "ground", "wrong"),
-    [(1e-4, 1000.0, 0.0, "wavelength of 0.0001 m"), (0.03, 1e5, 0.0, "100000 m"), (0.03, 10.0, 20.0, "ground at 20 m")],
+    [
+        (1e-4, 1000.0, 0.0, "wavelength of 0.0001 m"),
+        (0.03, 1e5, 9e4, "ground at 90000 m"),
+        (0.03, 10.0, 20.0, "ground at 20 m"),
+        (0.03, 10.0, -3500.0, "State map_height_m"),
+    ],
 )
 def test_air_that_is_not_known_is_refused(wavelength: float, sensor: float, ground: float, wrong: str) -> None:
     with pytest.raises(UserError, match=wrong):
         path_through_air(wavelength, sensor, ground, 0.5)
+
+
+def test_the_air_ends_at_80_km_without_a_step() -> None:
+    """Where its layers are those of the tables: 228.65 K and 868 Pa at 32 km, 196.65 K and 0.886 Pa at 80 km."""
+    temperature, pressure, _ = STANDARD_ATMOSPHERE.at(np.array([32_000.0, 80_000.0]))
+    np.testing.assert_allclose(temperature, [228.65, 196.65])
+    np.testing.assert_allclose(pressure, [868.02, 0.88628], rtol=1e-3)
+    below, above = (path_through_air(0.03, height, 0.0, 0.7) for height in (80_000.0, 80_000.001))
+    assert above.delay == pytest.approx(below.delay, abs=1e-6)
+    assert above.bend == pytest.approx(below.bend, abs=2e-8)
+
+
+def test_from_far_above_the_air_the_delay_is_that_of_all_of_it_and_nothing_bends() -> None:
+    """The bend is tan(look) times the mean refractivity of the path, most of which is in vacuum."""
+    high, higher = (path_through_air(0.03, height, 0.0, 0.7) for height in (100e3, 800e3))
+    assert higher.delay == pytest.approx(high.delay, rel=1e-3)
+    heights = np.linspace(0, 80_000, 200_001)
+    vertical = float(np.trapezoid(refractivities(heights, 0.03)[0], heights))
+    assert path_through_air(0.03, 800e3, 0.0, 0.0).delay == pytest.approx(vertical, rel=1e-4)
+    assert higher.bend == pytest.approx(np.tan(0.7) * vertical / 800e3, rel=5e-3)
 
 
 @pytest.mark.parametrize("height", [0.0, 500.0, 12_000.0])

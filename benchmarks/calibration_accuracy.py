@@ -82,7 +82,9 @@ def _track(flight: SimulatedFlight, dwells: int) -> Trajectory:
 def _calibrated(flight: SimulatedFlight) -> Calibration:
     sensor, track = flight.sensor, _track(flight, DWELLS)
     calibrator = Calibrator(sensor)
-    settings = ImageSettings(range_window="rectangular", azimuth_window="rectangular", cols=flight.preset.image.cols)
+    settings = ImageSettings(
+        air="none", range_window="rectangular", azimuth_window="rectangular", cols=flight.preset.image.cols
+    )
     for dwell in range(DWELLS):
         slc = focus_dwell(flight.phase_history(dwell), track, sensor, settings)
         calibrator.add(slc)
@@ -111,7 +113,7 @@ def _estimate(
     flight: SimulatedFlight, dwell: int, history: PhaseHistory, calibration: Calibration
 ) -> ElevationEstimate:
     sensor, image = flight.sensor, flight.preset.image
-    settings = ImageSettings(rows=image.rows, cols=image.cols)
+    settings = ImageSettings(air="none", rows=image.rows, cols=image.cols)
     slc = Compressor().add(history, _track(flight, dwell + 1), sensor, settings, calibration)
     if slc is None:
         raise RuntimeError("A spotlight dwell makes an image.")

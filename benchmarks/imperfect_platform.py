@@ -289,7 +289,7 @@ def combined(number: int, *names: str) -> Preset:
     lines = tuple(VibrationLine(level(1e-6, 30e-6), level(10, 2000)) for _ in range(rng.integers(0, 4)))
     # Stated uncertainty of the mounting and the clock; 0, as presets describe their sensors, where nothing is stated.
     exact = dict.fromkeys(("odometry_delay_sigma_s", "lever_arm_sigma_m", "boresight_sigma_rad"), 0.0)
-    stated = ImageSettings(**{**exact, **preset.processing.get("sar_compression", {})})
+    stated = ImageSettings(**{"air": "none", **exact, **preset.processing.get("sar_compression", {})})
     odometry = OdometryErrors(
         delay_s=stated.odometry_delay_sigma_s * rng.standard_normal(),
         undescribed_lever_arm_m=tuple((stated.lever_arm_sigma_m * rng.standard_normal(3)).tolist()),
@@ -331,7 +331,9 @@ def together(parts: Sequence[Flown]) -> Flown:
 def image_settings(preset: Preset, autofocus: str) -> ImageSettings:
     """Those of a preset."""
     given = preset.processing.get("sar_compression", {})
-    return ImageSettings(rows=preset.image.rows, cols=preset.image.cols, **{"autofocus": autofocus, **given})
+    return ImageSettings(
+        air="none", rows=preset.image.rows, cols=preset.image.cols, **{"autofocus": autofocus, **given}
+    )
 
 
 def coverage() -> Iterator[Row]:

@@ -60,7 +60,7 @@ def images_of(flight: SimulatedFlight, histories: Sequence[PhaseHistory]) -> lis
     compressor, states, images = Compressor(), [], []
     for dwell, history in enumerate(histories):
         states += flight.platform_states(dwell)
-        settings = ImageSettings(rows=image.rows, cols=image.cols)
+        settings = ImageSettings(air="none", rows=image.rows, cols=image.cols)
         track = Trajectory(states, accuracy=flight.odometry_accuracy)
         slc = compressor.add(history, track, flight.sensor, settings)
         images += [slc] if slc else []
@@ -140,7 +140,7 @@ def over_dwells(seed: int, kind: str, settings: MoverSettings, flown_as: Preset 
     flight = replace(flight, scene=replace(flight.scene, points=(point,)))
     histories = [flight.phase_history(dwell) for dwell in range(flight.dwells)]
     given = preset.processing.get("sar_compression", {})
-    wanted = ImageSettings(rows=preset.image.rows, cols=sensor.pulse_count, **given)
+    wanted = ImageSettings(air="none", rows=preset.image.rows, cols=sensor.pulse_count, **given)
     begun = time.process_time()
     images: list[Slc | None] = []
     for dwell, one in enumerate(histories):

@@ -38,7 +38,7 @@ def observed(number: int, preset: Preset, seed: int) -> tuple[ObservedDwell, F64
     sensor, history, track = flight.sensor, flight.phase_history(number), flight.track(number)
     given = preset.processing.get("sar_compression", {})
     slc = Compressor().add(
-        history, track, sensor, ImageSettings(rows=preset.image.rows, cols=preset.image.cols, **given)
+        history, track, sensor, ImageSettings(air="none", rows=preset.image.rows, cols=preset.image.cols, **given)
     )
     assert slc is not None  # noqa: S101 (a spotlight dwell has an image)
     field = heights(slc, sensor, ml, ml.settings(range_looks=preset.looks[0], azimuth_looks=preset.looks[1]))
@@ -53,7 +53,7 @@ def observed_strip(number: int, preset: Preset, seed: int) -> list[tuple[Observe
     """
     flight, ml, compressor = flight_of(preset, seed), ESTIMATORS["ml"], Compressor()
     sensor, given = flight.sensor, preset.processing.get("sar_compression", {})
-    settings = ImageSettings(rows=preset.image.rows, cols=preset.image.cols, **given)
+    settings = ImageSettings(air="none", rows=preset.image.rows, cols=preset.image.cols, **given)
     looks = ml.settings(range_looks=preset.looks[0], azimuth_looks=preset.looks[1])
     blocks, found = preset.flight.passes.dwells_each(preset.dwells), []
     for block in range(blocks * number, blocks * (number + 1)):

@@ -75,7 +75,7 @@ def lidar(detectors: int, pulses: int = PULSES, samples: int = SAMPLES) -> Senso
 def made_up_dwell(sensor: Sensor, rows: int, cols: int) -> CompressorInput:
     """A dwell of noise, and the size of the images that are wanted of it."""
     compressor = _Taking()
-    rehearsed_slc(sensor, ImageSettings(rows=rows, cols=cols), compressor, np.random.default_rng(1))
+    rehearsed_slc(sensor, ImageSettings(air="none", rows=rows, cols=cols), compressor, np.random.default_rng(1))
     return compressor.taken
 
 

@@ -114,7 +114,7 @@ def _large_heights(
 
 def _compression(graph: Graph, flight: SimulatedFlight) -> Row:
     preset = load_preset(flight.sensor.name)
-    image = ImageSettings(rows=preset.image.rows, cols=preset.image.cols)
+    image = ImageSettings(air="none", rows=preset.image.rows, cols=preset.image.cols)
     sensor = lidar(
         flight.sensor.detector_count, LARGER * preset.sensor.pulse_count, LARGER * preset.sensor.sample_count
     )
@@ -161,7 +161,7 @@ def _tracker_and_mapper(graph: Graph) -> Iterator[Row]:
 
 def _images(flight: SimulatedFlight) -> Slc:
     preset = load_preset(flight.sensor.name)
-    image = ImageSettings(rows=preset.image.rows, cols=preset.image.cols)
+    image = ImageSettings(air="none", rows=preset.image.rows, cols=preset.image.cols)
     slc = Compressor().add(flight.phase_history(0), flight.track(0), flight.sensor, image)
     if slc is None:
         raise RuntimeError(f"Preset {preset.name} makes no image of one dwell.")

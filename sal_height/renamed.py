@@ -34,6 +34,10 @@ ENDED: Mapping[str, Any] = MappingProxyType({"prior_strength": 0.0})
 """Parameters that have ended, with the value that changed nothing."""
 
 
+BEFORE: Mapping[str, Mapping[str, Any]] = MappingProxyType({"sar_compression": {"air": "none"}})
+"""Values that did what nodes did before they had these parameters, whose defaults do something else, by node."""
+
+
 def with_new_names(values: Mapping[str, Any]) -> dict[str, Any]:
     """Parameters of one node with new names and values; where both names are given, the new one counts.
 

@@ -28,7 +28,7 @@ def test_direct_images_are_those_of_phase_history_and_image_former(windows: tupl
     samples = simulate_dwell(sensor, surface, amplitudes, antenna, reference).astype(np.complex64)
     history = PhaseHistory(flight.dwell_start_ns(dwell), flight.pulse_times, reference, samples)
     settings = ImageSettings(
-        rows=100, cols=12, range_window=windows[0], azimuth_window=windows[1], former="backprojection"
+        air="none", rows=100, cols=12, range_window=windows[0], azimuth_window=windows[1], former="backprojection"
     )
     slc = focus_dwell(history, flight.track(dwell), sensor, settings)
     processing = Processing(*windows)

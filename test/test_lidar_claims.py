@@ -73,7 +73,7 @@ def heights_of(slc: Slc, sensor: Sensor, estimator: str, **settings: Any) -> Hei
 # (a) Bias against CNR. Two detectors a beamwidth apart behind a square aperture: mu = 2 t exactly, t in beamwidths.
 
 BIAS_IMAGE = ImageSettings(
-    azimuth_window="rectangular", rows=42, cols=16
+    air="none", azimuth_window="rectangular", rows=42, cols=16
 )  # elevations of +-0.3, squints of +-0.25 beamwidths
 BIAS_LOOKS = {"range_looks": 2, "azimuth_looks": 8, "sidelobe_rate": 1.0}
 BIAS_DWELLS = 6
@@ -164,7 +164,7 @@ CELL = 1.55e-6 * REACH / (2 * 0.08)  # azimuth resolution, m
 SHOWN_AT = -3 * CELL
 OFFSET = 0.3  # beamwidths above the middle of the array
 SINGLE_LOOKS = {"range_looks": 1, "azimuth_looks": 1}
-MOVER_IMAGE = ImageSettings(azimuth_window="rectangular", rows=47, cols=13)  # with a pixel in the middle
+MOVER_IMAGE = ImageSettings(air="none", azimuth_window="rectangular", rows=47, cols=13)  # with a pixel in the middle
 
 
 @cache
@@ -219,7 +219,7 @@ def test_mover_appears_behind_its_place_and_with_turned_detectors_at_another_hei
     assert surface.positions[row, col, 0] - target.east == pytest.approx(-REACH * missing, abs=5e-5)
 
 
-STRIP_IMAGE = ImageSettings(azimuth_window="rectangular", rows=47)
+STRIP_IMAGE = ImageSettings(air="none", azimuth_window="rectangular", rows=47)
 
 
 @cache
@@ -293,7 +293,7 @@ def turned(sensor: Sensor, described: float) -> Sensor:
     return replace(sensor, detector_rotation=described, config_hash="")
 
 
-LEVEL_IMAGE = ImageSettings(azimuth_window="rectangular", rows=46, cols=12)
+LEVEL_IMAGE = ImageSettings(air="none", azimuth_window="rectangular", rows=46, cols=12)
 
 
 @pytest.mark.parametrize("estimator", ["ml", "monopulse"])

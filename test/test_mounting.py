@@ -27,8 +27,8 @@ BEAM = 1.55e-4
 """Wavelength over the 0.01 m of the antenna, in both directions."""
 
 IMAGES = {
-    "spotlight": ImageSettings(azimuth_window="rectangular", rows=15, cols=9),
-    "stripmap": ImageSettings(azimuth_window="rectangular", rows=15, cols=0),
+    "spotlight": ImageSettings(air="none", azimuth_window="rectangular", rows=15, cols=9),
+    "stripmap": ImageSettings(air="none", azimuth_window="rectangular", rows=15, cols=0),
 }
 """An odd number of rows: the point is at the reference range and thus in the middle of the middle one."""
 
@@ -212,7 +212,9 @@ def small_flight(**changes: Any) -> SimulatedFlight:
 
 def heights_of(flight: SimulatedFlight, sensor: Sensor) -> Array:
     """Heights that the first dwell of a flight gives if the sensor is described so."""
-    slc = Compressor().add(flight.phase_history(0), flight.track(0), sensor, ImageSettings(rows=46, cols=12))
+    slc = Compressor().add(
+        flight.phase_history(0), flight.track(0), sensor, ImageSettings(air="none", rows=46, cols=12)
+    )
     assert slc
     return heights(slc, sensor, ESTIMATORS["ml"], MlSettings()).first.height
 

@@ -33,7 +33,7 @@ def test_every_sensor_has_a_made_up_dwell(name: str) -> None:
     """Images of unit noise, and heights of scatterers of 30 dB in some of them."""
     preset = load_preset(name)
     sensor, rng = preset.make_sensor(), np.random.default_rng(0)
-    slc = rehearsed_slc(sensor, ImageSettings(rows=24, cols=16), Compressor(), rng)
+    slc = rehearsed_slc(sensor, ImageSettings(air="none", rows=24, cols=16), Compressor(), rng)
     assert slc is not None
     assert np.mean(np.abs(slc.images) ** 2, axis=(1, 2)) == pytest.approx(slc.noise_power, rel=0.2)
     lit = with_scatterers(slc, sensor, rng)
@@ -53,7 +53,10 @@ def test_autofocus_is_rehearsed_where_it_may_be_requested(
 
     found, focus_speckle = [], gradient.focus_speckle
     monkeypatch.setattr(gradient, "focus_speckle", lambda *given: found.append(focus_speckle(*given)) or found[-1])
-    sensor, settings = load_preset("small").make_sensor(), ImageSettings(rows=24, cols=16, autofocus=autofocus)
+    sensor, settings = (
+        load_preset("small").make_sensor(),
+        ImageSettings(air="none", rows=24, cols=16, autofocus=autofocus),
+    )
     assert rehearsed_slc(sensor, settings, Compressor(), np.random.default_rng(0)) is not None
     assert [bool(np.isfinite(one.standard_error)) for one in found] == [True] * linked
 
@@ -83,7 +86,7 @@ def test_all_estimators_are_rehearsed_with_their_settings() -> None:
 
     chosen = [(noting(ESTIMATORS[name]), ESTIMATORS[name].settings(min_cnr_db=cnr)) for name, cnr in LOWEST.items()]
     rng = np.random.default_rng(0)
-    rehearse_heights(load_preset("small").make_sensor(), ImageSettings(rows=24, cols=16), chosen, rng)
+    rehearse_heights(load_preset("small").make_sensor(), ImageSettings(air="none", rows=24, cols=16), chosen, rng)
     assert dict(seen) == LOWEST
 
 

@@ -39,7 +39,8 @@ def level() -> tuple[Sensor, Slc]:
     preset = load_preset("small")
     preset = replace(preset, dwells=1, cnr_db=50.0, sensor=replace(preset.sensor, detectors=CHANNELS))
     flight = replace(flight_of(preset, seed=1), scene=flat_scene(half=20.0))
-    slc = Compressor().add(flight.phase_history(0), flight.track(0), flight.sensor, ImageSettings(rows=46, cols=12))
+    settings = ImageSettings(air="none", rows=46, cols=12)
+    slc = Compressor().add(flight.phase_history(0), flight.track(0), flight.sensor, settings)
     assert slc
     return flight.sensor, slc
 

@@ -27,6 +27,7 @@ from sal_height.simulation.uncertainty_settings import AS_SIMULATED, NEPERS_PER_
 PRESET = load_preset("sal_spotlight")
 NOTHING = UncertaintySettings()
 RANGE = PRESET.flight.slant_range_m
+VACUUM = CorrectionSettings(air="none")
 
 
 def described(stated: UncertaintySettings, cnr_db: float = 20.0) -> Sensor:
@@ -51,7 +52,7 @@ def compressed(flight: SimulatedFlight, sensor: Sensor, delay_m: float = 0.0, **
     history: PhaseHistory = flight.phase_history(0)
     history = replace(history, reference_range=history.reference_range + delay_m)
     size = {"rows": PRESET.image.rows, "cols": PRESET.image.cols}
-    slc = Compressor().add(history, flight.track(0), sensor, ImageSettings(**size, **settings))
+    slc = Compressor().add(history, flight.track(0), sensor, ImageSettings(air="none", **size, **settings))
     assert slc is not None
     return slc
 
@@ -124,25 +125,26 @@ def test_what_is_assumed_are_shifts_and_turns_of_an_instrument_that_nobody_calib
 
 def test_the_range_delay_of_a_coarse_radar_is_a_range_cell(slcs: tuple[Slc, Slc]) -> None:
     sensor = replace(described(AS_SIMULATED), uncertainty=replace(EXACT, range_delay=None), bandwidth=7.5e6)
-    aperture = with_all_errors(slcs[1].aperture, sensor, CorrectionSettings(), RANGE)
+    aperture = with_all_errors(slcs[1].aperture, slcs[1].grid.middle, sensor, VACUUM)
     assert np.sqrt(np.trace(aperture.covariance)) == pytest.approx(sensor.range_resolution)
 
 
 def test_only_what_is_stated_decides_on_autofocus(slcs: tuple[Slc, Slc]) -> None:
     """A boresight that may be off by several beamwidths would request it."""
-    aperture, nothing, settings = slcs[1].aperture, described(NOTHING), CorrectionSettings()
-    assert with_known_errors(aperture, nothing, settings, RANGE) is aperture
+    aperture, middle, nothing = slcs[1].aperture, slcs[1].grid.middle, described(NOTHING)
+    assert with_known_errors(aperture, middle, nothing, VACUUM) is aperture
     stated = described(replace(NOTHING, boresight_rad=1e-3))
-    by_description = with_known_errors(aperture, stated, settings, RANGE).covariance
-    by_parameter = with_known_errors(aperture, nothing, settings.changed(boresight_sigma_rad=1e-3), RANGE).covariance
+    by_description = with_known_errors(aperture, middle, stated, VACUUM).covariance
+    by_parameter = with_known_errors(aperture, middle, nothing, VACUUM.changed(boresight_sigma_rad=1e-3)).covariance
     np.testing.assert_allclose(by_description, by_parameter, rtol=1e-9, atol=1e-18)
     assert by_description[3, 3] == pytest.approx(1e-6)
 
 
 def test_a_parameter_states_more_than_the_description(slcs: tuple[Slc, Slc]) -> None:
-    aperture, settings = slcs[1].aperture, CorrectionSettings(lever_arm_sigma_m=0.0, boresight_sigma_rad=0.0)
+    aperture, middle = slcs[1].aperture, slcs[1].grid.middle
+    settings = VACUUM.changed(lever_arm_sigma_m=0.0, boresight_sigma_rad=0.0)
     for stated in (NOTHING, replace(NOTHING, boresight_rad=1e-3, lever_arm_m=0.1)):
-        assert with_known_errors(aperture, described(stated), settings, RANGE) is aperture
+        assert with_known_errors(aperture, middle, described(stated), settings) is aperture
 
 
 def test_a_covariance_of_the_mounting_is_in_the_axes_of_the_platform(slcs: tuple[Slc, Slc]) -> None:
@@ -152,7 +154,8 @@ def test_a_covariance_of_the_mounting_is_in_the_axes_of_the_platform(slcs: tuple
     turned = replace(turned, lever_arm_covariance=(0.04, *8 * (0.0,)), rotation_covariance=(1e-6, *8 * (0.0,)))
     base = replace(slcs[1].aperture, rotation=Rotation.from_euler("z", 0.5).as_matrix())
     aperture = replace(base, rotation=base.rotation @ turned.axes.as_matrix())
-    found = with_known_errors(aperture, replace(sensor, mounting=turned), CorrectionSettings(), RANGE).covariance
+    middle = slcs[1].grid.middle
+    found = with_known_errors(aperture, middle, replace(sensor, mounting=turned), VACUUM).covariance
     ahead = base.rotation[:, 0]
     np.testing.assert_allclose(found[:3, :3], 0.04 * np.outer(ahead, ahead), atol=1e-12)
     np.testing.assert_allclose(found[3:, 3:], 1e-6 * np.outer(ahead, ahead), atol=1e-15)

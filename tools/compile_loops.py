@@ -27,7 +27,7 @@ def main() -> None:
         flight = flight_of(load_preset(name), 1)
         flight.phase_history(0)
         estimators = [(one, one.settings()) for one in ESTIMATORS.values() if one.suits(flight.sensor)]
-        rehearse_heights(flight.sensor, ImageSettings(), estimators, rng)
+        rehearse_heights(flight.sensor, ImageSettings(air="none"), estimators, rng)
     track(*made_up_heights(rng), PriorEstimate(), TrackingSettings())
 
 

@@ -52,7 +52,7 @@ first_half, second_half = range(described.dwells // 2), range(described.dwells /
 # %%
 flight, compressor = flight_of(spoilt, seed=1), Compressor()
 calibrator = Calibrator(flight.sensor)
-unweighted = ImageSettings(range_window="rectangular")
+unweighted = ImageSettings(air="none", range_window="rectangular")
 for dwell in first_half:
     calibrator.add(compressor.add(flight.phase_history(dwell), flight.track(dwell), flight.sensor, unweighted))
 calibration, undetermined = calibrator.calibration()
@@ -90,7 +90,7 @@ for name, values in deviations.items():
 
 # %%
 settings = MlSettings(range_looks=described.looks[0], azimuth_looks=described.looks[1])
-image_settings = ImageSettings(rows=described.image.rows, cols=described.image.cols)
+image_settings = ImageSettings(air="none", rows=described.image.rows, cols=described.image.cols)
 
 
 def errors_of_heights(preset: Preset, calibration: Calibration | None = None) -> F64:

@@ -48,7 +48,7 @@ sensor = flight.sensor
 
 # %%
 compressor = Compressor()
-image_settings = ImageSettings(rows=preset.image.rows, cols=preset.image.cols)
+image_settings = ImageSettings(air="none", rows=preset.image.rows, cols=preset.image.cols)
 slcs = [
     compressor.add(flight.phase_history(dwell), flight.track(dwell), sensor, image_settings)
     for dwell in range(flight.dwells)

@@ -17,6 +17,7 @@ from sal_height.beams import Beams
 from sal_height.elevation import information
 from sal_height.geometry import ApertureState
 from sal_height.imaging import (
+    VACUUM,
     ImageSettings,
     NavigationPrior,
     image_beams,
@@ -112,13 +113,14 @@ class Situation:
 
 
 def image_settings(preset: Preset) -> ImageSettings:
-    """Settings of the compression, as the preset has them, but for the air.
+    """Settings of the compression, as the preset has them, but in vacuum: the air has entries of its own.
 
     Raises:
         UserError: one is not allowed.
     """
     given = with_new_names(preset.processing.get("sar_compression", {}))
-    return ImageSettings(**{key: given[key] for key in ImageSettings.model_fields.keys() - {"air"} if key in given})
+    known = {key: given[key] for key in ImageSettings.model_fields if key in given}
+    return ImageSettings(**{**known, "air": VACUUM})
 
 
 def error_entries(of: Situation) -> Iterator[BudgetEntry]:
@@ -177,7 +179,8 @@ def _prior(of: Situation) -> NavigationPrior:
     """Stated uncertainty of the beams from odometry and mounting."""
     errors = of.preset.impairments.odometry
     stated = np.diag([errors.position_m] * 3 + errors.turn_rad.tolist()) ** 2
-    aperture = with_known_errors(replace(of.aperture, covariance=stated), of.sensor, of.settings, of.slant_range)
+    middle = of.aperture.position + of.slant_range * of.sight
+    aperture = with_known_errors(replace(of.aperture, covariance=stated), middle, of.sensor, of.settings)
     return NavigationPrior.of(aperture, errors.velocity_mps**2 * np.eye(3), of.sight)
 
 

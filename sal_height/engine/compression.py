@@ -37,7 +37,7 @@ from sal_height.engine.stage import FOREVER_NS, DwellKey, FileInput, Job, Notice
 from sal_height.engine.track import Arrival, OdometryHistory, OdometrySettings, longest_gap_s
 from sal_height.errors import Rejected, UserError
 from sal_height.geometry import Mounting, PlatformState, Trajectory
-from sal_height.imaging import ImageSettings, Slc
+from sal_height.imaging import MEASURED_AIR, UNKNOWN_AIR, VACUUM, ImageSettings, Slc
 from sal_height.numeric import C64
 from sal_height.pipeline import Compressor
 from sal_height.rehearsal import once, rehearsed_slc
@@ -332,7 +332,7 @@ class Compression(DwellStage):
         track = Trajectory(supplies.states, motion=settings.motion, accuracy=settings.accuracy)
         used = settings
         if supplies.air is not None:
-            used = settings.changed(air="measured", **supplies.air)
+            used = settings.changed(air=MEASURED_AIR, **supplies.air)
             stated[USED_AIR] = supplies.air
         slc = compressor.add(history, track, sensor, used, calibration)
         if sensor.mode != "stripmap" and history.samples.flags.owndata:  # a strip keeps its samples
@@ -341,7 +341,7 @@ class Compression(DwellStage):
             return None
         applied = calibration.id if calibration else sensor.calibration_id
         provenance = of_compression(self.name, stated, slc, sensor.config_hash, applied)
-        air_delay = AIR_LEFT if used.air == "none" else AIR_REMOVED
+        air_delay = {VACUUM: AIR_LEFT, UNKNOWN_AIR: ""}.get(used.air, AIR_REMOVED)
         source = Source(whole.messages, sensor, supplies.states, calibration, slc, settings)
         return slc, Images.made_of(
             whole.key, settings.map_frame, slc, provenance, air_delay=air_delay, order=job.order, source=source

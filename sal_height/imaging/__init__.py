@@ -1,11 +1,13 @@
 """Image formation: from the phase history of a dwell or strip to single-look complex images of all detectors.
 
 Read `focus` and `strip_focus` first (`focus_dwell`, `StripFocuser`: the whole of it), then `pixels` (image grids,
-their noise, windows, and beams in strip images), `corrections` (known errors), `instrument` (those that the sensor's
-description leaves), `unknown_odometry` (assumed ones of odometry), `checks` (dwells that alias are refused), `formers`
-(backprojection and the fast ones), `autofocus` (phase errors common to all detectors) and `strip` (blocks that join).
+their noise, windows, and beams in strip images), `corrections` (known errors), `air` (delay and bend), `instrument`
+(errors that the sensor's description leaves), `unknown_odometry` (assumed ones of odometry), `checks` (dwells that
+alias are refused), `formers` (backprojection and the fast ones), `autofocus` (phase errors common to all detectors)
+and `strip` (blocks that join).
 """
 
+from sal_height.imaging.air import MEASURED_AIR, STANDARD_AIR, UNKNOWN_AIR, VACUUM, StatedAir, errors_of_air
 from sal_height.imaging.autofocus.gradient import apply_phase, focus_cells, is_for_speckle
 from sal_height.imaging.autofocus.placement import Centroid, NavigationPrior, Placement
 from sal_height.imaging.autofocus.strip_phase import stays_in_range_cell
@@ -28,7 +30,11 @@ from sal_height.imaging.unknown_odometry import UNKNOWN_ODOMETRY, with_unknown_o
 
 __all__ = [
     "FORMERS",
+    "MEASURED_AIR",
+    "STANDARD_AIR",
+    "UNKNOWN_AIR",
     "UNKNOWN_ODOMETRY",
+    "VACUUM",
     "Centroid",
     "Corrected",
     "CorrectionSettings",
@@ -38,6 +44,7 @@ __all__ = [
     "Placement",
     "Processing",
     "Slc",
+    "StatedAir",
     "StripDelay",
     "StripFocuser",
     "apply_phase",
@@ -47,6 +54,7 @@ __all__ = [
     "cell_response",
     "correct_dwell",
     "correct_track",
+    "errors_of_air",
     "focus_cells",
     "focus_dwell",
     "image_beams",

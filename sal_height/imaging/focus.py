@@ -10,6 +10,7 @@ from sal_height.doubts import Doubt
 from sal_height.elevation import AxisResponse, CellResponse
 from sal_height.errors import Rejected, UserError
 from sal_height.geometry import ApertureState, Grid, Trajectory
+from sal_height.imaging.air import MEASUREMENTS
 from sal_height.imaging.autofocus.gradient import (
     AutofocusSettings,
     Focus,
@@ -31,7 +32,7 @@ from sal_height.imaging.checks import (
     describe_unverified_squint,
     doubts_of_odometry,
 )
-from sal_height.imaging.corrections import MEASURED_AIR, CorrectionSettings, with_known_errors
+from sal_height.imaging.corrections import CorrectionSettings, with_known_errors
 from sal_height.imaging.formers.choice import FORMERS, choose_former
 from sal_height.imaging.pixels import (
     Processing,
@@ -95,7 +96,7 @@ class ImageSettings(AutofocusSettings, CorrectionSettings):
         All are equal but the image former and the measured air, whose delay is continuous from block to block
         (`StripDelay`).
         """
-        names = ImageSettings.model_fields.keys() - {"former", *MEASURED_AIR}
+        names = ImageSettings.model_fields.keys() - {"former", *MEASUREMENTS}
         return all(getattr(self, name) == getattr(other, name) for name in names)
 
 
@@ -181,7 +182,7 @@ def focus_dwell(history: PhaseHistory, track: Trajectory, sensor: Sensor, settin
     # Phase error, and the direction of the beams along the flight: by navigation and, if necessary, the data.
     sight, grid = line_of_sight(sensor, aperture), _dwell_grid(settings, sensor, aperture, reference, processing)
     velocity_covariance = track.velocity_covariance(history.stamp_ns, history.pulse_times)
-    prior = NavigationPrior.of(with_known_errors(aperture, sensor, settings, reference), velocity_covariance, sight)
+    prior = NavigationPrior.of(with_known_errors(aperture, grid.middle, sensor, settings), velocity_covariance, sight)
     focus, placement = _find_beams(history, antenna, sensor, patch_centres(sensor, aperture, grid), prior, settings)
     if focus and focus.trusted:
         history = apply_phase(history, focus.phase)

@@ -29,7 +29,7 @@ from sal_height.imaging.checks import (
 from sal_height.imaging.corrections import with_known_errors
 from sal_height.imaging.focus import ImageSettings, Slc, describe_distrust
 from sal_height.imaging.formers.choice import choose_former
-from sal_height.imaging.pixels import Processing, line_of_sight, slc_noise_power
+from sal_height.imaging.pixels import Processing, aim_point, line_of_sight, slc_noise_power
 from sal_height.imaging.strip import CLOCK_STEP, WIDEST_GAP, Strip, lay_lattice
 from sal_height.numeric import F64
 from sal_height.sensor import PhaseHistory, Sensor, aperture_length, processed_angle
@@ -84,7 +84,7 @@ class StripFocuser:
         check_dwell(history, antenna, sensor, aperture)
         # Phase error, and the direction of the beams along the flight: by navigation or, if necessary, the data.
         velocity_covariance = mounted.velocity_covariance(history.stamp_ns, history.pulse_times)
-        flown = with_known_errors(aperture, sensor, settings, reference)
+        flown = with_known_errors(aperture, aim_point(sensor, aperture, reference), sensor, settings)
         prior = NavigationPrior.of(flown, velocity_covariance, line_of_sight(sensor, aperture))
         history, focus, placement = _in_focus(history, antenna, aperture, prior, continued, sensor, settings)
         if placement:

@@ -25,5 +25,5 @@ def with_instrument(slc: Slc, sensor: Sensor, settings: CorrectionSettings) -> S
     slant_range = float(np.linalg.norm(slc.grid.middle - slc.aperture.position))
     errors = instrument_errors(slc.aperture, sensor, settings, slant_range)
     assumed = [Assumption(error.name, error.parameter) for error in errors if error.is_assumed]
-    aperture = with_all_errors(slc.aperture, sensor, settings, slant_range)
+    aperture = with_all_errors(slc.aperture, slc.grid.middle, sensor, settings)
     return replace(slc, aperture=aperture, doubts=(*slc.doubts, *doubts_of_assumed(INSTRUMENT, assumed)))

@@ -51,7 +51,7 @@ def imaged(dwell: int, error: Error | None, **settings: object) -> tuple[Slc, He
     states, sensor = flight.track(dwell).states, flight.sensor
     if error:
         states, sensor = error.states(states), error.sensor(sensor)
-    image = ImageSettings(rows=184, cols=12, **{"autofocus": "never", **settings})
+    image = ImageSettings(air="none", rows=184, cols=12, **{"autofocus": "never", **settings})
     slc = Compressor().add(flight.phase_history(dwell), Trajectory(states), sensor, image)
     assert slc
     return slc, heights(slc, sensor, ml, ml.settings(range_looks=2, azimuth_looks=2)), sensor

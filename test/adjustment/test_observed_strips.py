@@ -73,7 +73,7 @@ def imaged(strip: int, name: str | None, autofocus: str, stated: str = "nothing"
     flight, ml, error = flown(), ESTIMATORS["ml"], ERRORS[name] if name else None
     sensor = error.sensor(flight.sensor) if error else flight.sensor
     states = states_of(strip, error, stated)
-    settings = ImageSettings(rows=46, cols=128, autofocus=autofocus)
+    settings = ImageSettings(air="none", rows=46, cols=128, autofocus=autofocus)
     compressor, track = Compressor(), Trajectory(states)
     for dwell in range(strip * BLOCKS, (strip + 1) * BLOCKS):
         slc = compressor.add(history_of(dwell), track, sensor, settings)

@@ -43,7 +43,9 @@ def flown(dwells: int, **changes: Any) -> SimulatedFlight:
 
 def images(flight: SimulatedFlight) -> Iterator[Slc]:
     track = Trajectory([state for dwell in range(flight.dwells) for state in flight.platform_states(dwell)])
-    settings = ImageSettings(range_window="rectangular", azimuth_window="rectangular", cols=flight.preset.image.cols)
+    settings = ImageSettings(
+        air="none", range_window="rectangular", azimuth_window="rectangular", cols=flight.preset.image.cols
+    )
     for dwell in range(flight.dwells):
         yield focus_dwell(flight.phase_history(dwell), track, flight.sensor, settings)
 
@@ -230,7 +232,7 @@ def test_heights_of_a_pair_lose_their_bias_by_a_reference_target() -> None:
     _, elevation, _ = angles_of(place, slc.aperture, sensor.look_side)
     biases = []
     for frames in (history, calibration.equalised(history)):
-        after = focus_dwell(frames, track, sensor, ImageSettings(cols=12))
+        after = focus_dwell(frames, track, sensor, ImageSettings(air="none", cols=12))
         squint = column_squint(after.grid, after.aperture, sensor.beams, sensor.look_side)
         looks = multilook(after.images, 1, 1, squint=squint, noise_power=after.noise_power[0])
         found = ml_elevation(looks, sensor.beams, MlSettings(min_cnr_db=0.0, layover=False))

@@ -129,7 +129,10 @@ def test_spectra_of_images_are_those_of_the_frames() -> None:
         samples[3] *= fault.astype(np.complex64)
         history = replace(history, samples=samples)
         slc = focus_dwell(
-            history, track, sensor, ImageSettings(range_window="rectangular", azimuth_window="rectangular", cols=12)
+            history,
+            track,
+            sensor,
+            ImageSettings(air="none", range_window="rectangular", azimuth_window="rectangular", cols=12),
         )
         spectra.add(remove_range_phase(slc, sensor), sensor, slc.noise_power)
     found = estimate(spectra)
@@ -141,7 +144,7 @@ def test_spectra_of_images_are_those_of_the_frames() -> None:
 def test_weighted_images_are_refused() -> None:
     flight = flight_of(load_preset("small"), seed=1)
     track = Trajectory(flight.platform_states(0))
-    slc = focus_dwell(flight.phase_history(0), track, flight.sensor, ImageSettings(cols=12))
+    slc = focus_dwell(flight.phase_history(0), track, flight.sensor, ImageSettings(air="none", cols=12))
     with pytest.raises(NotDetermined, match="range_window rectangular in the slant plane"):
         remove_range_phase(slc, flight.sensor)
 

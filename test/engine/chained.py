@@ -20,7 +20,7 @@ from sal_height.engine.heights import height_stage
 from sal_height.engine.stage import Decision, Event, Job, Loss, Notice, Product, Result, Stage
 from sal_height.simulation import SimulatedFlight
 
-IMAGE = {"rows": 46, "cols": 12}
+IMAGE = {"rows": 46, "cols": 12, "air": "none"}
 DETECTORS = 8
 TICK_S = 0.1
 LONGEST_S = 60.0

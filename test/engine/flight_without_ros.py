@@ -62,7 +62,7 @@ def fly() -> dict[str, dict[str, int]]:
     items: list[Item] = []
     for port, item in flight_items(flight):
         items += instruments(item) if port == ODOMETRY else [(port, item)]
-    image = {"rows": 20, "cols": 48, "range_window": "rectangular", "calibration": "topic"}
+    image = {"rows": 20, "cols": 48, "air": "none", "range_window": "rectangular", "calibration": "topic"}
     after = [
         (Tracker, {}),
         (HeightAdjuster, {}),
@@ -79,12 +79,14 @@ def fly() -> dict[str, dict[str, int]]:
         *after,
     ]
     pair = flight_of(replace(load_preset("xband_sumdiff"), dwells=2), 1)
-    few = [(Compression, {"rows": 4, "cols": 4}), (height_stage("canopy_ground"), {})]
+    few = [(Compression, {"rows": 4, "cols": 4, "air": "none"}), (height_stage("canopy_ground"), {})]
     rehearse(few[0][0], flight)
     strip = [(Compression, STRIP), *estimators("canopy_ground", "sum_difference"), *after[:4]]
     return {
         "flight": run([*everything, calibration], items),
-        "sum and difference": run([(Compression, {}), (height_stage("sum_difference"), {})], flight_items(pair)),
+        "sum and difference": run(
+            [(Compression, {"air": "none"}), (height_stage("sum_difference"), {})], flight_items(pair)
+        ),
         "few pixels": run(few, flight_items(flight, dwells=range(2))),
         "strip": run(strip, flight_items(flight_of(replace(load_preset("sal_stripmap"), dwells=4), 9))),
     }

@@ -32,8 +32,8 @@ Item = tuple[str, Any]
 EXACT_ODOMETRY = dict.fromkeys(ACCURACY, 0.0)
 """Parameters that state what the covariances of the flights, zeros, leave open."""
 
-SMALL = {"rows": 20, "cols": 8, **EXACT_ODOMETRY}
-"""Images of the small preset that take little time, with its odometry, which is exact."""
+SMALL = {"rows": 20, "cols": 8, "air": "none", **EXACT_ODOMETRY}
+"""Images of the small preset that take little time, of a flight in vacuum with exact odometry."""
 
 
 def count_of(item: Any) -> int:
@@ -56,7 +56,7 @@ class NoiseStrip(SimulatedFlight):
         return PhaseHistory(self.dwell_start_ns(dwell), self.pulse_times, reference, samples)
 
 
-STRIP = {"rows": 16, "cols": 128, **EXACT_ODOMETRY}
+STRIP = {"rows": 16, "cols": 128, "air": "none", **EXACT_ODOMETRY}
 """Images of `noise_strip`: the third block completes the first one."""
 
 

@@ -155,7 +155,7 @@ def test_at_the_end_everything_is_given_up_in_the_order_in_which_it_arrived() ->
 def waiting_for_odometry(frames: int = 1, **settings: Any) -> Driven:
     """The frames of the first dwells have arrived, and of the odometry all but that which ends the first of them."""
     flight = small_flight()
-    driven = drive(Compression(Compression.settings(**SMALL, **settings)), [accept(SENSOR_INFO, flight.sensor)])
+    driven = drive(Compression(Compression.settings(**{**SMALL, **settings})), [accept(SENSOR_INFO, flight.sensor)])
     driven.deliver(odometry_items(flight, 0)[:-2])
     for dwell in range(frames):
         driven.deliver(frame_items(flight, dwell))

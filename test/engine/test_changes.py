@@ -151,7 +151,7 @@ def test_what_is_scheduled_and_cannot_be_used_is_reported_and_costs_nothing(gate
 
 
 def compressed(script: list[Step], **settings: Any) -> Driven:
-    return drive(Compression(Compression.settings(**SMALL, **settings)), script)
+    return drive(Compression(Compression.settings(**{**SMALL, **settings})), script)
 
 
 def of(driven: Driven, dwell: int) -> Any:
@@ -181,7 +181,7 @@ def test_odometry_that_completes_two_dwells_leaves_a_change_between_them() -> No
         script += [accept(*item) for item in frame_items(flight, dwell)]
     states = [item for dwell in (0, 1) for item in odometry_items(flight, dwell)]
     driven = compressed(script, max_odometry_gap_s=1.0)
-    driven.do(scheduled(1, "", Compression.settings(rows=20, cols=6, max_odometry_gap_s=1.0)))
+    driven.do(scheduled(1, "", Compression.settings(**{**SMALL, "cols": 6}, max_odometry_gap_s=1.0)))
     for item in (states[0], states[-1]):
         assert not driven.made
         driven.do(accept(*item))
@@ -221,7 +221,7 @@ def test_a_dwell_has_what_holds_when_its_job_is_made_whatever_arrives_while_that
 
 def test_a_dwell_waits_for_air_as_the_settings_of_its_own_say() -> None:
     flown = [accept(*item) for item in flight_items(small_flight(), dwells=range(3))]
-    heard = Compression.settings(**SMALL, air="topics")
+    heard = Compression.settings(**{**SMALL, "air": "topics"})
     driven = drive(Compression(heard), [scheduled(1, "", heard.changed(air="none")), *flown])
     assert [one.item.key.number for one in driven.made] == [1, 0, 2]  # after the change dwell 0 need not wait either
 

@@ -379,7 +379,7 @@ def test_air_of_long_ago_is_not_used() -> None:
 
 
 def test_air_that_arrived_before_it_was_asked_for_is_known() -> None:
-    stage = Compression(Compression.settings(**SMALL, **{**HEARD, "air": "none"}))
+    stage = Compression(Compression.settings(**{**SMALL, **HEARD, "air": "none"}))
     script: list[Step] = [
         accept(*item) for item in (*air_items(START_NS - 2 * SECOND), *sensor(), *odometry(), *frames([0]))
     ]

@@ -65,7 +65,7 @@ def radar(look_side: int) -> Sensor:
 
 def focused(look_side: int, plane: str) -> tuple[Slc, Sensor, dict[str, str]]:
     """Images of a target of amplitude 1, seen from an aircraft that flies north-east, and the windows they have."""
-    sensor, settings = radar(look_side), ImageSettings(**PLANES[plane])
+    sensor, settings = radar(look_side), ImageSettings(air="none", **PLANES[plane])
     along, seconds = np.array([0.8, 0.6, 0.0]), np.arange(-1, PULSES + 1) / FREQUENCY
     across = look_side * np.array([along[1], -along[0], 0.0])
     abeam = RANGE * (-math.sin(ANGLE) * across + math.cos(ANGLE) * np.array([0.0, 0.0, 1.0]))

@@ -122,7 +122,7 @@ def test_attitude_that_is_off_by_more_than_the_beam_is_refused(side: int) -> Non
     Held off the limit by a tenth of the beam: the centroid of a dwell of speckle scatters.
     """
     flight, history = dwell()
-    settings = ImageSettings(former="backprojection", rows=4, cols=4)
+    settings = ImageSettings(air="none", former="backprojection", rows=4, cols=4)
     for beamwidths in (0.0, 0.4):
         inside = focus_dwell(history, track(side * beamwidths * BEAMWIDTH / LOOK), flight.spectrum, settings)
         assert np.isfinite(inside.images).all()
@@ -138,7 +138,7 @@ def test_a_car_that_outshines_the_ground_does_not_move_the_centroid(yaw: float) 
     car = PointScatterer(0.0, 1.0, 1.0, 10**3.4, 8e-3, 0.0)
     history = replace(flight, scene=replace(flight.scene, points=(car,))).phase_history(0)
     assert np.sum(np.abs(history.samples) ** 2) > 4 * np.sum(np.abs(without.samples) ** 2)
-    settings = ImageSettings(former="backprojection", rows=4, cols=4)
+    settings = ImageSettings(air="none", former="backprojection", rows=4, cols=4)
     if yaw:
         with refusal("Doppler centroid outside the band", "attitude"):
             focus_dwell(history, track(yaw), flight.spectrum, settings)
@@ -195,7 +195,7 @@ def test_white_phase_errors_do_not_look_like_a_wrong_attitude() -> None:
             apply_phase(history, -phase),
             track(0.0),
             flight.spectrum,
-            ImageSettings(former="backprojection", rows=4, cols=4),
+            ImageSettings(air="none", former="backprojection", rows=4, cols=4),
         )
         assert np.isfinite(slc.images).all()
 
@@ -229,7 +229,7 @@ def test_odometry_in_the_frames_of_aviation_is_refused(map_axes: np.ndarray, bod
         for state in flight.platform_states(0)
     ]
     with refusal("odometry frames", said):
-        focus_dwell(history, Trajectory(states), flight.spectrum, ImageSettings(rows=4, cols=4))
+        focus_dwell(history, Trajectory(states), flight.spectrum, ImageSettings(air="none", rows=4, cols=4))
 
 
 @pytest.mark.parametrize(("height", "fits"), [(100.0, True), (-1750.0, True), (-1780.0, False)])
@@ -268,7 +268,7 @@ def test_squint_that_doppler_cannot_confirm_is_said(wavelength: float, limit: fl
 def test_yaw_of_a_tenth_of_a_radian_is_accepted_with_its_doubt() -> None:
     """Its Doppler, 4.6 MHz, is folded into the band of the pulses, here by chance to where the beams look."""
     flight, history = dwell()
-    settings = ImageSettings(former="backprojection", rows=4, cols=4)
+    settings = ImageSettings(air="none", former="backprojection", rows=4, cols=4)
     assert focus_dwell(history, track(0.0), flight.spectrum, settings).doubts == ()
     fold = flight.spectrum.wavelength * flight.spectrum.pulse_repetition_frequency / (2 * SPEED)
     yaw = np.arcsin(round(0.1 * LOOK / fold) * fold / LOOK)
@@ -325,4 +325,4 @@ def test_dwells_are_checked_before_they_are_focused(reason: str, change: dict[st
     flight, history = dwell()
     sensor = replace(flight.spectrum, **change, config_hash="")
     with refusal(reason):
-        focus_dwell(history, track(0.0), sensor, ImageSettings(former="backprojection", rows=4, cols=4))
+        focus_dwell(history, track(0.0), sensor, ImageSettings(air="none", former="backprojection", rows=4, cols=4))

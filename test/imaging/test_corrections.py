@@ -27,7 +27,7 @@ from sal_height.relief import HeightField
 from sal_height.sensor import PhaseHistory, Sensor
 from sal_height.simulation import SimulatedFlight, flight_of, load_preset
 
-SIZE = {"rows": 30, "cols": 8}
+SIZE = {"rows": 30, "cols": 8, "air": "none"}
 
 
 @cache
@@ -40,7 +40,8 @@ def compressed(
     history: PhaseHistory, sensor: Sensor | None = None, track: Trajectory | None = None, **known: object
 ) -> Slc:
     flight, _ = flown()
-    slc = Compressor().add(history, track or flight.track(0), sensor or flight.sensor, ImageSettings(**SIZE, **known))
+    settings = ImageSettings(**{**SIZE, **known})
+    slc = Compressor().add(history, track or flight.track(0), sensor or flight.sensor, settings)
     assert slc is not None
     return slc
 
@@ -82,7 +83,9 @@ def test_an_elevation_offset_turns_all_beams_towards_nadir(look_side: int) -> No
     flight, history = flown()
     sensor = replace(flight.sensor, look_side=look_side)
     aperture = flight.track(0).aperture(history.stamp_ns, history.pulse_times)
-    turned = correct_dwell(history, flight.track(0), sensor, CorrectionSettings(elevation_offset_rad=1e-3)).sensor
+    turned = correct_dwell(
+        history, flight.track(0), sensor, CorrectionSettings(air="none", elevation_offset_rad=1e-3)
+    ).sensor
     seen = flight.track(0).mounted(turned.mounting).aperture(history.stamp_ns, history.pulse_times)
     before, after = (np.arccos(-line_of_sight(sensor, state)[2]) for state in (aperture, seen))
     assert after - before == pytest.approx(-1e-3, abs=1e-9)
@@ -130,12 +133,12 @@ def test_a_clock_moves_places_along_the_flight() -> None:
 
 def test_without_corrections_nothing_is_touched() -> None:
     flight, history = flown()
-    none, track = CorrectionSettings(), flight.track(0)
+    none, track = CorrectionSettings(air="none"), flight.track(0)
     aperture = track.aperture(history.stamp_ns, history.pulse_times)
     assert correct_track(track, none) is track
     assert correct_dwell(history, track, flight.sensor, none)[:3] == (history, track, flight.sensor)
-    assert with_known_errors(aperture, flight.sensor, none, 5000.0) is aperture
-    assert with_all_errors(aperture, flight.sensor, none, 5000.0) is aperture
+    assert with_known_errors(aperture, np.zeros(3), flight.sensor, none) is aperture
+    assert with_all_errors(aperture, np.zeros(3), flight.sensor, none) is aperture
 
 
 def test_air_that_is_not_known_is_refused() -> None:

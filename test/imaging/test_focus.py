@@ -50,7 +50,7 @@ def track_of(flight: SimulatedFlight) -> Trajectory:
 def focused(name: str, history: PhaseHistory | None = None, track: Trajectory | None = None, **settings: object) -> Slc:
     flight = flight_of(name)
     track = track or track_of(flight)
-    return focus_dwell(history or dwell_of(name), track, flight.spectrum, ImageSettings(**settings))
+    return focus_dwell(history or dwell_of(name), track, flight.spectrum, ImageSettings(air="none", **settings))
 
 
 def looking_as(slc: Slc) -> Trajectory:
@@ -297,6 +297,7 @@ def test_detectors_that_see_the_same_in_proportion_are_imaged_in_proportion(
         track_of(flight),
         flight.spectrum,
         ImageSettings(
+            air="none",
             former=former,
             autofocus="always" if wanted else "never",
             rows=30,
@@ -312,5 +313,5 @@ def test_detectors_that_see_the_same_in_proportion_are_imaged_in_proportion(
 
 @pytest.mark.parametrize(("recorded", "today"), [(True, "always"), (False, "never"), ("auto", "auto")])
 def test_bags_of_before_autofocus_chose_by_itself_are_understood(recorded: object, today: str) -> None:
-    assert ImageSettings(**with_new_names({"autofocus": recorded})).autofocus == today
+    assert ImageSettings(air="none", **with_new_names({"autofocus": recorded})).autofocus == today
     assert check_parameters({"sar_compression": {"autofocus": recorded}}) == {"sar_compression": {"autofocus": today}}

@@ -162,7 +162,7 @@ def test_images_are_those_of_one_long_compression_and_no_column_is_missing(gust:
 
     The pulse at the end of an aperture counts by its share within, for which a pulse's way is the mean of those held.
     """
-    flown, settings = echoing(gust), ImageSettings(former="backprojection", cols=cols)
+    flown, settings = echoing(gust), ImageSettings(air="none", former="backprojection", cols=cols)
     slcs = flown.images(block, settings)
     cols = cols or block // 2
     assert_one_lattice(slcs, cols)
@@ -181,7 +181,7 @@ def test_images_are_those_of_one_long_compression_and_no_column_is_missing(gust:
 @pytest.mark.parametrize("gust", [0.0, 1.0], ids=["calm", "gusts"])
 @pytest.mark.parametrize(("block", "cols"), [(256, 0), (100, 37)])
 def test_fast_former_makes_the_same_strip(gust: float, block: int, cols: int) -> None:
-    flown, settings = echoing(gust), ImageSettings(former="range_doppler", cols=cols)
+    flown, settings = echoing(gust), ImageSettings(air="none", former="range_doppler", cols=cols)
     slcs = flown.images(block, settings)
     assert_one_lattice(slcs, cols or block // 2)
     image, grid = joined(slcs)
@@ -200,7 +200,7 @@ def test_a_response_without_the_phase_of_range_does_not_turn_from_pixel_to_pixel
     rotation, reference = np.broadcast_to(np.eye(3), (pulses, 3, 3)), np.full(pulses, REACH)
     surface = bare_scatterers(point[None], np.ones(1), deterministic=True)
     samples = simulate_block(sensor, surface, np.ones(1, np.complex64), antenna, rotation, reference)
-    slcs = Flown(sensor, samples, states).images(900, ImageSettings(former="backprojection"))
+    slcs = Flown(sensor, samples, states).images(900, ImageSettings(air="none", former="backprojection"))
     powers = [float(np.nanmax(np.abs(slc.images[0]))) for slc in slcs]
     slc = slcs[int(np.argmax(powers))]
     image = without_range_phase(slc.images[0], slc.grid, slc.aperture, sensor.wavelength)
@@ -219,7 +219,7 @@ def test_wide_beam_leaves_no_column_of_a_strip_empty() -> None:
     )  # fmt: skip
     samples = circular(np.random.default_rng(73), (1, 1500, 32)).astype(np.complex64)
     flown = Flown(sensor, samples, odometry(1.2), reach=100.0)
-    settings = ImageSettings(former="backprojection", cols=16, rows=12)
+    settings = ImageSettings(air="none", former="backprojection", cols=16, rows=12)
     image, grid = joined(flown.images(150, settings))
     assert grid.cols > 350
     assert np.isfinite(image).all()
@@ -230,7 +230,7 @@ def test_wide_beam_leaves_no_column_of_a_strip_empty() -> None:
 def test_pulses_that_no_column_needs_are_dropped_with_their_times() -> None:
     """Also the odometry that is held begins later and later."""
     flown, focuser, block, cols = noisy(64 * 60, strip_sensor(sample_count=24)), StripFocuser(), 64, 10
-    settings, held, begins = ImageSettings(former="backprojection", cols=cols, rows=1), [], []
+    settings, held, begins = ImageSettings(air="none", former="backprojection", cols=cols, rows=1), [], []
     for first in range(0, flown.count, block):
         history = flown.history(first, first + block)
         flown.feed(focuser, first, first + block, settings)
@@ -249,7 +249,7 @@ def test_pulses_that_no_column_needs_are_dropped_with_their_times() -> None:
 def test_aperture_is_that_abeam_of_the_middle_column(gust: float) -> None:
     flown = noisy(1500, gust=gust)
     slcs, motion = (
-        flown.images(300, ImageSettings(cols=20, rows=2)),
+        flown.images(300, ImageSettings(air="none", cols=20, rows=2)),
         gust_motion(gust, SPEED, np.random.default_rng(70)),
     )
     assert len(slcs) > 2
@@ -277,7 +277,7 @@ def assert_true(slcs: list[Slc], flown: Flown, settings: ImageSettings) -> None:
 
 def test_columns_over_a_lost_block_are_not_published() -> None:
     flown, block, lost = noisy(2400), 150, 7
-    settings = ImageSettings(former="backprojection", cols=10, rows=8)
+    settings = ImageSettings(air="none", former="backprojection", cols=10, rows=8)
     slcs = flown.images(block, settings, lost=(lost,))
     assert_true(slcs, flown, settings)
     places = np.concatenate([slc.grid.points(0, np.arange(slc.grid.cols))[:, 0] for slc in slcs])
@@ -294,7 +294,7 @@ def test_columns_over_a_lost_block_are_not_published() -> None:
 @pytest.mark.parametrize("change", [{"rows": 6}, {"cols": 16}, {"azimuth_window": "rectangular"}])
 def test_strip_begins_anew_where_another_image_is_wanted(change: dict[str, int]) -> None:
     flown, focuser, block = noisy(1500), StripFocuser(), 150
-    first = ImageSettings(former="backprojection", cols=10, rows=8)
+    first = ImageSettings(air="none", former="backprojection", cols=10, rows=8)
     second = first.changed(**change)
     before = [flown.feed(focuser, n * block, (n + 1) * block, first) for n in range(5)]
     after = [flown.feed(focuser, n * block, (n + 1) * block, second) for n in range(5, 10)]
@@ -317,7 +317,7 @@ FORMERS = ["backprojection", "range_doppler", "auto", "range_doppler", "backproj
     "each",
     [
         [NodeSettings(former="backprojection", cols=10, patience=1.0 + n) for n in range(5)],
-        [ImageSettings(former=former, cols=10) for former in FORMERS],
+        [ImageSettings(air="none", former=former, cols=10) for former in FORMERS],
     ],
     ids=["settings that do not describe images", "another former"],
 )
@@ -332,7 +332,7 @@ def test_what_does_not_change_the_pixels_goes_on_with_the_strip(each: list[Image
 def test_block_that_is_not_later_than_the_last_is_rejected_and_the_strip_goes_on(again: int) -> None:
     """The last one once more, the one before it, the first; those between are still held, or not any more."""
     flown, focuser, block, slcs = noisy(1500), StripFocuser(), 150, []
-    settings = ImageSettings(former="backprojection", cols=10, rows=8)
+    settings = ImageSettings(air="none", former="backprojection", cols=10, rows=8)
     for number in range(10):
         slcs.append(flown.feed(focuser, number * block, (number + 1) * block, settings))
         if number == 4:
@@ -354,7 +354,7 @@ def assert_no_gap_along(slcs: list[Slc]) -> None:
 def test_drift_out_of_the_range_window_lays_the_lattice_anew_without_a_gap() -> None:
     """Crosswind of 16 m/s on a body that keeps its heading: the ground draws away by a range window in 0.2 s."""
     flown = noisy(3600, wind=16.0)
-    settings = ImageSettings(former="backprojection", cols=20, rows=8)
+    settings = ImageSettings(air="none", former="backprojection", cols=20, rows=8)
     slcs = flown.images(300, settings)
     assert_true(slcs[::2], flown, settings)
     assert_no_gap_along(slcs)
@@ -373,7 +373,8 @@ def test_rows_that_drift_out_of_the_range_window_are_empty_whatever_the_former()
     """Rows that fill the window: those at its edges leave it, and must not show what lies at the other edge."""
     flown = noisy(1800, wind=8.0)
     slow, fast = (
-        flown.images(300, ImageSettings(former=name, cols=20)) for name in ("backprojection", "range_doppler")
+        flown.images(300, ImageSettings(air="none", former=name, cols=20))
+        for name in ("backprojection", "range_doppler")
     )
     (reference, grid), (image, _) = joined(slow), joined(fast)
     assert grid.rows == 23
@@ -386,7 +387,7 @@ def test_rows_that_drift_out_of_the_range_window_are_empty_whatever_the_former()
 def test_body_that_turns_takes_the_lattice_with_it_without_a_gap() -> None:
     """By two beamwidths in 0.15 s, a fifth of one per aperture."""
     flown = noisy(3000, yaw_rate=2e-3)
-    settings = ImageSettings(former="backprojection", cols=10, rows=8)
+    settings = ImageSettings(air="none", former="backprojection", cols=10, rows=8)
     slcs = flown.images(100, settings)
     assert_true(slcs[::4], flown, settings)
     assert_no_gap_along(slcs)
@@ -404,7 +405,7 @@ def test_body_that_turns_takes_the_lattice_with_it_without_a_gap() -> None:
 def test_body_that_turns_too_fast_leaves_columns_out_rather_than_empty(yaw_rate: float) -> None:
     """By half a beamwidth from one block to the next."""
     flown = noisy(3000, yaw_rate=yaw_rate)
-    settings = ImageSettings(former="backprojection", cols=10, rows=8)
+    settings = ImageSettings(air="none", former="backprojection", cols=10, rows=8)
     slcs = flown.images(200, settings)
     assert len(slcs) > 3
     assert all(np.isfinite(slc.images).all() for slc in slcs)
@@ -412,7 +413,7 @@ def test_body_that_turns_too_fast_leaves_columns_out_rather_than_empty(yaw_rate:
 
 @pytest.mark.parametrize(("heading", "allowed"), [(1.0, True), (1.1, False), (-1.1, False), (np.pi, False)])
 def test_flight_across_the_body_is_refused(heading: float, allowed: bool) -> None:
-    flown, settings = noisy(100, heading=heading), ImageSettings(cols=10, rows=8)
+    flown, settings = noisy(100, heading=heading), ImageSettings(air="none", cols=10, rows=8)
     if allowed:
         assert flown.feed(StripFocuser(), 0, 100, settings) is None
         return
@@ -425,7 +426,7 @@ def test_flight_across_the_body_is_refused(heading: float, allowed: bool) -> Non
     [({"image_plane": "ground"}, "ground"), ({"former": "specan"}, "specan")],
 )
 def test_what_stripmap_does_not_allow_is_said_in_one_sentence(change: dict[str, object], part: str) -> None:
-    settings = ImageSettings(cols=10, rows=8).changed(**change)
+    settings = ImageSettings(air="none", cols=10, rows=8).changed(**change)
     with refused(UserError, part, "stripmap", "allow"):
         noisy(600).images(600, settings)
 
@@ -436,7 +437,9 @@ def test_noise_of_an_image_is_what_it_states(window: str) -> None:
     sensor = strip_sensor(noise_power=tuple(powers))
     white = noisy(2800, sensor)
     flown = replace(white, samples=white.samples * np.sqrt(powers)[:, None, None].astype(np.float32))
-    slcs = flown.images(400, ImageSettings(former="backprojection", range_window=window, azimuth_window=window))
+    slcs = flown.images(
+        400, ImageSettings(air="none", former="backprojection", range_window=window, azimuth_window=window)
+    )
     image, _ = joined(slcs)
     measured = np.mean(np.abs(image) ** 2, axis=(1, 2))
     # Powers of neighbours, a resolution apart, correlate by 0.11 under the Taylor window, in both directions.
@@ -448,7 +451,11 @@ def test_noise_of_an_image_is_what_it_states(window: str) -> None:
 
 def test_a_clock_that_begins_anew_begins_a_new_strip() -> None:
     """A bag played again: the same blocks, hours earlier, give the same images."""
-    flown, focuser, settings = noisy(900), StripFocuser(), ImageSettings(former="backprojection", cols=10, rows=8)
+    flown, focuser, settings = (
+        noisy(900),
+        StripFocuser(),
+        ImageSettings(air="none", former="backprojection", cols=10, rows=8),
+    )
 
     def fly() -> list[np.ndarray]:
         slcs = [flown.feed(focuser, number * 150, (number + 1) * 150, settings) for number in range(6)]
@@ -466,7 +473,7 @@ def test_a_clock_that_begins_anew_begins_a_new_strip() -> None:
 
 def test_a_single_block_without_a_stated_width_has_the_columns_that_its_pulses_fill() -> None:
     """900 pulses of 2.5 mm, an aperture of 310 of them: 590 places, at the resolution of two pulses 295 columns."""
-    flown, focuser, settings = noisy(1800), StripFocuser(), ImageSettings(former="backprojection", rows=8)
+    flown, focuser, settings = noisy(1800), StripFocuser(), ImageSettings(air="none", former="backprojection", rows=8)
     first = flown.feed(focuser, 0, 900, settings)
     assert first is not None
     assert first.grid.cols == pytest.approx(590 / 2, abs=3)
@@ -481,7 +488,7 @@ def test_a_single_block_without_a_stated_width_has_the_columns_that_its_pulses_f
 @pytest.mark.parametrize(("pulses", "cols", "said"), [(300, 0, "0 of 150 columns"), (400, 100, "of 100 columns")])
 def test_a_first_block_without_an_image_says_why(pulses: int, cols: int, said: str) -> None:
     flown, focuser = noisy(900), StripFocuser()
-    settings = ImageSettings(former="backprojection", rows=8, cols=cols)
+    settings = ImageSettings(air="none", former="backprojection", rows=8, cols=cols)
     assert flown.feed(focuser, 0, pulses, settings) is None
     assert_one_sentence(focuser.shortfall, said, f"{(pulses - 1) * SPEED / PRF:.4g} m", "later block")
     flown.feed(focuser, pulses, 900, settings)
@@ -490,7 +497,7 @@ def test_a_first_block_without_an_image_says_why(pulses: int, cols: int, said: s
 
 def test_what_navigation_does_not_know_of_the_velocity_is_an_error_along_the_flight() -> None:
     """Range over speed times the standard deviation along the line of sight."""
-    flown, settings = noisy(600), ImageSettings(cols=10, rows=8, autofocus="never")
+    flown, settings = noisy(600), ImageSettings(air="none", cols=10, rows=8, autofocus="never")
     stated = [replace(state, velocity_covariance=np.diag([0.0, 4e-6, 0.0])) for state in flown.states]
     plain, uncertain = (
         replace(flown, states=states).images(600, settings)[0].aperture.covariance for states in (flown.states, stated)

@@ -20,7 +20,7 @@ from sal_height.simulation.impairments import Impairments
 from sal_height.simulation.phase_errors import Vibration, VibrationLine
 from sal_height.simulation.scene import PointScatterer
 
-SETTINGS = ImageSettings(rows=46, cols=128)
+SETTINGS = ImageSettings(air="none", rows=46, cols=128)
 BLOCKS = 4
 SHAKEN = Impairments(vibration=Vibration(lines=(VibrationLine(10e-6, 50.0), VibrationLine(3e-6, 200.0))))
 
@@ -245,7 +245,7 @@ def peak_of(point: PointScatterer, autofocus: str, stated: Stated) -> float:
     """Power of the brightest pixel of a strip over a point, all channels together, dB."""
     flight, focuser = flight_with(Impairments()), StripFocuser()
     flight = replace(flight, scene=replace(flight.scene, points=(point,)))
-    settings = ImageSettings(rows=46, cols=128, autofocus=autofocus)
+    settings = ImageSettings(air="none", rows=46, cols=128, autofocus=autofocus)
     brightest = 0.0
     for dwell in range(flight.dwells):
         track = Trajectory([stated.said(state) for state in flight.track(dwell).states])

@@ -42,7 +42,7 @@ def strip(seed: int, *points: PointScatterer, dwells: int = 4, wrong: float = 0.
     preset = replace(load_preset("sal_stripmap"), dwells=dwells)
     flight = flight_of(preset, seed)
     flight = replace(flight, scene=replace(flight.scene, points=points))
-    settings = ImageSettings(rows=preset.image.rows, cols=preset.image.cols)
+    settings = ImageSettings(air="none", rows=preset.image.rows, cols=preset.image.cols)
     compressor, states, images = Compressor(), [], []
     for dwell in range(dwells):
         states += drifted(flight.platform_states(dwell), -wrong)

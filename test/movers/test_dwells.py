@@ -38,7 +38,7 @@ def flown(
     preset = replace(load_preset(name), dwells=dwells)
     flight = flight_of(preset, seed)
     flight = replace(flight, scene=replace(flight.scene, points=points))
-    settings = ImageSettings(rows=preset.image.rows, cols=preset.sensor.pulse_count)
+    settings = ImageSettings(air="none", rows=preset.image.rows, cols=preset.sensor.pulse_count)
     images = []
     for dwell in range(dwells):
         slc = Compressor().add(flight.phase_history(dwell), flight.track(dwell), flight.sensor, settings)

@@ -118,11 +118,11 @@ class StageChain(Flown):
         estimators: Sequence[str] = ("monopulse", "ml"),
         own: Mapping[str, Mapping[str, Any]] = MappingProxyType({}),
     ) -> None:
-        """Parameters: `image` of sar_compression, `heights` of all estimators, `own` of one by name."""
+        """Parameters: `image` of sar_compression, in vacuum, `heights` of all estimators, `own` of one by name."""
         self.flight, self.estimators, self.heights = flight, tuple(estimators), {}
         self.graph = StageGraph()
         self.stages = self.graph.hosts
-        self.graph.add("sar_compression", timeout_s=missing_after_s, **image)
+        self.graph.add("sar_compression", timeout_s=missing_after_s, **{"air": "none", **image})
         for name in estimators:
             self.graph.add(height_stage(name).usual_name, timeout_s=missing_after_s, **heights, **own.get(name, {}))
 
@@ -165,11 +165,15 @@ class Chain(Flown):
         heights: Mapping[str, Any] = MappingProxyType({}),
         ml_height: Mapping[str, Any] = MappingProxyType({}),
     ) -> None:
-        """Parameters: `image` of sar_compression, `heights` of both height nodes, `ml_height` of one."""
+        """Parameters: `image` of sar_compression, in vacuum, `heights` of both height nodes, `ml_height` of one."""
         self.graph = graph
         self.flight = flight
         self.estimators = ("monopulse", "ml")
-        parameters = {"sar_compression": image, "monopulse": heights, "ml_height": {**heights, **ml_height}}
+        parameters = {
+            "sar_compression": {"air": "none", **image},
+            "monopulse": heights,
+            "ml_height": {**heights, **ml_height},
+        }
         self.stages: dict[str, StageNode] = {}
         for name, given in parameters.items():
             values = {"timeout_s": missing_after_s, **given}

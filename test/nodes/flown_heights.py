@@ -67,7 +67,7 @@ def flown_heights() -> FlownHeights:
     preset = replace(preset, dwells=12, flight=flight, impairments=Impairments(odometry=ERRORS))
     flown, exact = flight_of(preset, 1), flight_of(replace(preset, impairments=Impairments()), 1)
     ml = ESTIMATORS["ml"]
-    image = ImageSettings(rows=184, cols=12, **STATED)
+    image = ImageSettings(air="none", rows=184, cols=12, **STATED)
     looks = ml.settings(range_looks=2, azimuth_looks=2)
     images, fields, odometry, truth = [], [], [], []
     for number in range(preset.dwells):

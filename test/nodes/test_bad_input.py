@@ -72,7 +72,7 @@ def good_frame(flight: SimulatedFlight) -> bytes:
 def good_image(flight: SimulatedFlight) -> bytes:
     """A serialised image of channel 0."""
     history, track = flight.phase_history(0), flight.track(0)
-    slc = Compressor().add(history, track, flight.sensor, ImageSettings(rows=46, cols=12))
+    slc = Compressor().add(history, track, flight.sensor, ImageSettings(air="none", rows=46, cols=12))
     assert slc
     frame = messages.history_to_messages(history, flight.sensor, 0, messages.to_stamp(START_NS))[0]
     return serialize(messages.slc_to_messages(slc, frame, Provenance())[0])

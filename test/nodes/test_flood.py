@@ -46,7 +46,7 @@ BURST, BURSTS = 24, 6
 
 def images_of(flight: SimulatedFlight, dwell: int = 0) -> list[bytes]:
     """The serialized images of a dwell."""
-    history, settings = flight.phase_history(dwell), ImageSettings(rows=46, cols=12)
+    history, settings = flight.phase_history(dwell), ImageSettings(air="none", rows=46, cols=12)
     slc = Compressor().add(history, flight.track(dwell), flight.sensor, settings)
     assert slc
     stamp = messages.to_stamp(START_NS + dwell * INTERVAL_NS)

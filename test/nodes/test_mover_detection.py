@@ -32,12 +32,12 @@ def flown(cols: int = 48) -> tuple[Sensor, tuple[tuple[ComplexImage, ...], ...]]
     sensor, dwells = flight.sensor, []
     for number in range(flight.dwells):
         slc = Compressor().add(
-            flight.phase_history(number), flight.track(number), sensor, ImageSettings(rows=46, cols=cols)
+            flight.phase_history(number), flight.track(number), sensor, ImageSettings(air="none", rows=46, cols=cols)
         )
         assert slc is not None
         frame = ComplexImage(dwell=number)
         frame.header.stamp = messages.to_stamp(START_NS + flight.dwell_start_ns(number))
-        values = {**dict(ImageSettings(rows=46, cols=cols)), **messages.autofocus_values(slc)}
+        values = {**dict(ImageSettings(air="none", rows=46, cols=cols)), **messages.autofocus_values(slc)}
         provenance = Provenance(
             config_hash=sensor.config_hash, parameters=messages.with_stage([], "sar_compression", values)
         )

@@ -32,7 +32,7 @@ def blanked() -> tuple[Sensor, Slc]:
         flight.phase_history(0),
         flight.track(0),
         flight.sensor,
-        ImageSettings(rows=size.rows, cols=size.cols),
+        ImageSettings(air="none", rows=size.rows, cols=size.cols),
     )
     assert slc
     return flight.sensor, slc

@@ -18,7 +18,7 @@ from sal_height.sensor import Channels, PhaseHistory, clipped, whitened_channels
 from sal_height.simulation import SimulatedFlight, flight_of, load_preset
 from sal_height.simulation.receiver_noise import receiver_noise
 
-STRIP_IMAGE = ImageSettings(rows=16, cols=128)
+STRIP_IMAGE = ImageSettings(air="none", rows=16, cols=128)
 
 
 def strip_flight(full_scale: float = 0.0) -> SimulatedFlight:
@@ -97,8 +97,8 @@ def test_a_calibration_states_the_noise_that_it_leaves() -> None:
     gains = np.linspace(0.5, 1.5, flight.sensor.detector_count)
     weak = replace(calibration, response=calibration.response * gains[:, None])
     history, track = flight.phase_history(0), Trajectory(flight.platform_states(0))
-    before = Compressor().add(history, track, flight.sensor, ImageSettings(rows=8, cols=8))
-    after = Compressor().add(history, track, flight.sensor, ImageSettings(rows=8, cols=8), weak)
+    before = Compressor().add(history, track, flight.sensor, ImageSettings(air="none", rows=8, cols=8))
+    after = Compressor().add(history, track, flight.sensor, ImageSettings(air="none", rows=8, cols=8), weak)
     assert before
     assert after
     equaliser = np.abs(weak.equaliser[:, 0]) ** 2
@@ -111,7 +111,7 @@ def small() -> tuple[SimulatedFlight, Slc]:
     """A dwell of the small preset, and its images."""
     preset = load_preset("small")
     flight = flight_of(replace(preset, dwells=1), seed=1)
-    image = ImageSettings(rows=preset.image.rows, cols=preset.image.cols)
+    image = ImageSettings(air="none", rows=preset.image.rows, cols=preset.image.cols)
     slc = Compressor().add(flight.phase_history(0), Trajectory(flight.platform_states(0)), flight.sensor, image)
     assert slc
     return flight, slc

@@ -86,7 +86,7 @@ def dwells_of(name: str) -> tuple[Sensor, tuple[Slc, ...]]:
     case = CASES[name]
     preset = case.describe(replace(load_preset(case.preset), dwells=1))
     flight = flight_of(preset, seed=7)
-    sensor, image = case.adapt(flight.sensor), ImageSettings(rows=case.rows, cols=case.cols)
+    sensor, image = case.adapt(flight.sensor), ImageSettings(air="none", rows=case.rows, cols=case.cols)
     slc = Compressor().add(replace(flight, sensor=sensor).phase_history(0), flight.track(0), sensor, image)
     assert slc
     made = []
@@ -148,7 +148,7 @@ def test_images_that_autofocus_has_made_do_not_depend_on_the_number_of_threads()
     """It solves for the phases of all pulses, by matrices that BLAS would divide among its threads."""
     preset = load_preset("sal_realistic")
     flight, made = flight_of(replace(preset, dwells=1), seed=7), []
-    image = ImageSettings(rows=preset.image.rows, cols=preset.image.cols, autofocus="always")
+    image = ImageSettings(air="none", rows=preset.image.rows, cols=preset.image.cols, autofocus="always")
     for threads in THREADS:
         with threadpool_limits(threads, user_api="blas"):
             slc = Compressor().add(flight.phase_history(0), flight.track(0), flight.sensor, image)

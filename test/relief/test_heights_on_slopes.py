@@ -46,7 +46,7 @@ def seen_slope(slope: float) -> Seen:
     """What the lidar of preset sal_spotlight (20 dB, 45 degrees) sees of it."""
     preset = replace(load_preset("sal_spotlight"), dwells=DWELLS)
     flight = replace(flight_of(preset, seed=2), scene=sloping_ground(slope))
-    images = ImageSettings(rows=preset.image.rows, cols=preset.image.cols)
+    images = ImageSettings(air="none", rows=preset.image.rows, cols=preset.image.cols)
     settings = MlSettings(range_looks=preset.looks[0], azimuth_looks=preset.looks[1])
     compressor, relief_map = Compressor(), ReliefMap(CELL, 10**6)
     over_sigma, over_place = [], []

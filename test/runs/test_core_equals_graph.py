@@ -43,7 +43,7 @@ def compared_heights(bag: Path) -> int:
         [messages.state_from_message(message) for message in found["/platform/odometry"]], accuracy=EXACT
     )
     size = recorded_parameters(reader)["sar_compression"]
-    settings = ImageSettings(rows=size["rows"], cols=size["cols"])
+    settings = ImageSettings(air="none", rows=size["rows"], cols=size["cols"])
     compressor, compared = Compressor(), 0
     for dwell in sorted({frame.dwell for frame in found["/phase_history"]}):
         frames = sorted((f for f in found["/phase_history"] if f.dwell == dwell), key=lambda frame: frame.channel)

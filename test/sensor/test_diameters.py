@@ -144,7 +144,7 @@ def test_simulated_heights_are_as_good_with_another_azimuth_diameter(azimuth: fl
     assert abs(np.nanmedian(error)) < 0.02
 
 
-IMAGE = ImageSettings(rows=46, cols=12)
+IMAGE = ImageSettings(air="none", rows=46, cols=12)
 
 
 def test_a_sensor_widened_by_a_factor_is_wider_in_both_directions() -> None:

@@ -17,7 +17,7 @@ from sal_height.simulation.preset import Passes
 
 CLEAR = load_preset("small")
 WARM = SimulatedAir(temperature_k=300.0, pressure_pa=99_000.0, humidity=0.5, height_m=200.0, map_height_m=150.0)
-IMAGE = ImageSettings(rows=30, cols=8)
+IMAGE = ImageSettings(air="none", rows=30, cols=8)
 
 
 def flown_in(air: SimulatedAir | None) -> SimulatedFlight:

@@ -29,7 +29,7 @@ def flight_with(**errors: object) -> SimulatedFlight:
 
 def compressed(flight: SimulatedFlight, **settings: object) -> Slc:
     slc = Compressor().add(
-        flight.phase_history(0), flight.track(0), flight.sensor, ImageSettings(rows=30, cols=8, **settings)
+        flight.phase_history(0), flight.track(0), flight.sensor, ImageSettings(air="none", rows=30, cols=8, **settings)
     )
     assert slc is not None
     return slc

@@ -57,7 +57,7 @@ def test_odometry_of_each_pass_covers_its_dwells_and_no_turn_between_them(gust_m
 def test_a_pass_westwards_gives_the_heights_of_the_street() -> None:
     preset = flown_to_and_fro()
     flight, ml = flight_of(preset, 3), ESTIMATORS["ml"]
-    settings = ImageSettings(rows=preset.image.rows, cols=preset.image.cols)
+    settings = ImageSettings(air="none", rows=preset.image.rows, cols=preset.image.cols)
     slc = Compressor().add(flight.phase_history(2), flight.track(2), flight.sensor, settings)
     assert slc
     field = heights(slc, flight.sensor, ml, ml.settings(range_looks=2, azimuth_looks=2))
@@ -91,7 +91,7 @@ def strips_to_and_fro() -> Preset:
 
 def test_a_strip_westwards_gives_the_heights_of_the_street_in_places_that_the_other_has_seen() -> None:
     flight, ml, places = flight_of(strips_to_and_fro(), 3), ESTIMATORS["ml"], []
-    settings = ImageSettings(rows=46, cols=128)
+    settings = ImageSettings(air="none", rows=46, cols=128)
     for number in range(2):
         compressor = Compressor()
         for dwell in range(4 * number, 4 * number + 4):

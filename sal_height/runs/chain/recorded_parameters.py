@@ -40,7 +40,7 @@ from sal_height.engine.registry import STAGES, takes_heights
 from sal_height.errors import UserError
 from sal_height.graph.catalogue import HEIGHTS, SETTABLE, TRACKER, NodeParameters, check_parameters, placed
 from sal_height.graph.reporting import PARAMETERS, PRESET, merged
-from sal_height.renamed import ENDED, with_new_names
+from sal_height.renamed import BEFORE, ENDED, with_new_names
 from sal_height.runs.chain.timeline import (
     EVENT,
     PROVENANCE,
@@ -191,6 +191,7 @@ def recorded_at_start(
         if parameter not in unmade:
             stated[source].setdefault(parameter.node, {})[parameter.name] = value
     layers = [
+        (CUSTOM_DATA, BEFORE if PRESET in reader.custom_data else {}),  # flights are simulated in vacuum
         (EVENT, stated[EVENT]),
         (TOPIC, _places_by_topic(reader, stated[EVENT])),
         (CUSTOM_DATA, custom),
@@ -221,12 +222,16 @@ def _is_unmade(parameter: Parameter, value: Any, made: Collection[str]) -> bool:
 
 
 def _before(values: NodeParameters, stated: NodeParameters) -> dict[str, dict[str, Any]]:
-    """Standard deviations that nodes with stated values did not have yet, when nothing was assumed: 0."""
-    found = {}
+    """Parameters that nodes with stated values did not have yet, with values by which they work as they did then.
+
+    Standard deviations are 0: nothing was assumed.
+    """
+    found: dict[str, dict[str, Any]] = {}
     for node in STAGES.keys() & stated.keys():
         entries = settings_of(STAGES[node].settings).items()
         assumed = [name for name, entry in entries if entry.default == AS_DESCRIBED]
-        found[node] = {name: 0.0 for name in assumed if name not in values[node]}
+        then = {**dict.fromkeys(assumed, 0.0), **BEFORE.get(node, {})}
+        found[node] = {name: value for name, value in then.items() if name not in values[node]}
     return found
 
 

@@ -29,6 +29,7 @@ from sal_height.graph.catalogue import (
 from sal_height.graph.lockstep import perform
 from sal_height.graph.plan import DEFAULT, Execution, Outcome, Plan
 from sal_height.graph.reporting import PARAMETERS, PRESET, RELIEF_MAP, SEED, conclude, merged, reporting
+from sal_height.imaging import STANDARD_AIR, VACUUM
 from sal_height.io import new_folder, write_text, writing
 from sal_height.messages import AIR
 from sal_height.runs.truth.report import Accuracy, read_accuracy, read_images
@@ -115,14 +116,15 @@ def fly(preset: Preset, seed: int, out: Path, parameters: NodeParameters, execut
 def parameters_of_flight(flight: SimulatedFlight, estimators: list[str]) -> dict[str, dict[str, Any]]:
     """Parameters of the nodes that follow from a preset.
 
-    They are the size of its images, looks, position on the earth, and the accuracy of its odometry, whose covariances
-    are zeros where it is exact.
+    They are the size of its images, looks, air, position on the earth, and the accuracy of its odometry, whose
+    covariances are zeros where it is exact.
     """
     preset = flight.preset
+    air = STANDARD_AIR if preset.impairments.air else VACUUM
     odometry = {name: getattr(flight.odometry_accuracy, number) for name, number in ACCURACY.items()}
     looks = {"range_looks": preset.looks[0], "azimuth_looks": preset.looks[1]}
-    own = {
-        "sar_compression": {"rows": preset.image.rows, "cols": preset.image.cols, **odometry},
+    own: dict[str, dict[str, Any]] = {
+        "sar_compression": {"rows": preset.image.rows, "cols": preset.image.cols, "air": air, **odometry},
         **{name: dict(looks) for name in estimators if name in HEIGHTS and takes_images(STAGES[name])},
     }
     return merged(merged(own, consumers(estimators)), placed(flight.scene.origin))

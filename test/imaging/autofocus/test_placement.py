@@ -72,7 +72,7 @@ def _turned(state: PlatformState, rotation: np.ndarray) -> PlatformState:
 
 
 def compressed(flight: SimulatedFlight, history: PhaseHistory, track: Trajectory, **settings: object) -> Slc:
-    slc = Compressor().add(history, track, flight.sensor, ImageSettings(rows=184, cols=12, **settings))
+    slc = Compressor().add(history, track, flight.sensor, ImageSettings(air="none", rows=184, cols=12, **settings))
     assert slc is not None
     return slc
 
@@ -305,7 +305,9 @@ def test_scenes_of_presets_move_the_centroid_as_far_as_is_stated(name: str, dwel
     image, ratios = flown.preset.image, []
     for number in range(dwells):
         track, pulses = flown.track(number), flown.phase_history(number)
-        exact = Compressor().add(pulses, track, flown.sensor, ImageSettings(rows=image.rows, cols=image.cols))
+        exact = Compressor().add(
+            pulses, track, flown.sensor, ImageSettings(air="none", rows=image.rows, cols=image.cols)
+        )
         assert exact is not None
         assert not exact.doubts
         aperture, antenna = flown.aperture(number), track.positions(pulses.stamp_ns, pulses.pulse_times)

@@ -66,7 +66,7 @@ def test_a_turned_axis_of_detectors_looks_like_uneven_ground() -> None:
                 replace(s, velocity_covariance=0.005**2 * np.eye(3), covariance=np.diag([0.0] * 3 + [1e-10] * 3))
                 for s in flight.track(number).states
             ]
-            image = ImageSettings(rows=184, cols=12)
+            image = ImageSettings(air="none", rows=184, cols=12)
             focus = focus_dwell(flight.phase_history(number), Trajectory(states), flight.sensor, image).focus
             assert focus is not None
             assert abs(focus.trend) < 3 * focus.trend_error
@@ -144,7 +144,7 @@ def test_an_edge_of_a_shadow_across_the_flight_is_in_the_covariance_of_the_place
     scene = replace(street, height=np.zeros_like(street.height), brightness=shadow)
     flight = SimulatedFlight(preset, preset.make_sensor(), scene, 1, seed=23)
     states = [replace(state, velocity_covariance=25e-6 * np.eye(3)) for state in flight.platform_states(0)]
-    slc = focus_dwell(flight.phase_history(0), Trajectory(states), flight.spectrum, ImageSettings())
+    slc = focus_dwell(flight.phase_history(0), Trajectory(states), flight.spectrum, ImageSettings(air="none"))
     off = slc.placement.speed * preset.flight.slant_range_m / preset.flight.speed_mps
     stated = slc.placement.speed_error * preset.flight.slant_range_m / preset.flight.speed_mps
     assert abs(off) == pytest.approx(off_m, abs=0.01)

@@ -24,7 +24,7 @@ from sal_height.geometry import Origin
 from sal_height.graph.catalogue import SETTABLE, consumers, parameters_of
 from sal_height.graph.plan import DwellChanges
 from sal_height.messages.types import ComplexImage
-from sal_height.renamed import with_new_names
+from sal_height.renamed import BEFORE, with_new_names
 from sal_height.runs.chain.chain_runs import plan
 from sal_height.runs.chain.entry import FROM_HEIGHTS, IMAGES, WHOLE, Part, ReplayNodes, chain_of
 from sal_height.runs.chain.recorded_parameters import recorded_parameters
@@ -80,15 +80,15 @@ def stated_in(bag: Path) -> dict[str, dict[str, Any]]:
         image = reader.decode(recorded.type_name, recorded.cdr)
         for node, values in messages.stages_of(image.provenance.parameters).items():
             known = settings_of(KINDS[node].settings).keys() - OF_MACHINE
-            of_node = {name: value for name, value in with_new_names(values).items() if name in known}
-            stated[node] = {**exact_then(node), **of_node}
+            whole = {**exact_then(node), **BEFORE.get(node, {}), **with_new_names(values)}
+            stated[node] = {name: value for name, value in whole.items() if name in known}
     return stated
 
 
 @pytest.mark.usefixtures("other_defaults")
 @pytest.mark.parametrize("name", ALL)
 def test_the_values_of_a_bag_do_not_depend_on_the_defaults_of_today(name: str) -> None:
-    """Of `replay`, `batch` and `live`; a parameter that did not exist then has the default of today.
+    """Of `replay`, `batch` and `live`; parameters that did not exist then have today's default, or do what was done.
 
     Standard deviations that nobody stated then were 0.
     """

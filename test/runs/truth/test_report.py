@@ -93,7 +93,7 @@ def errors_with(position_m: float, name: str, seed: int) -> PublishedErrors:
     preset = load_preset(name)
     preset = replace(preset, impairments=Impairments(odometry=OdometryErrors(position_m=position_m)))
     flight, estimator = flight_of(preset, seed), ESTIMATORS["ml"]
-    settings, compressor = ImageSettings(rows=preset.image.rows, cols=preset.image.cols), Compressor()
+    settings, compressor = ImageSettings(air="none", rows=preset.image.rows, cols=preset.image.cols), Compressor()
     for dwell in range(3):
         slc = compressor.add(flight.phase_history(dwell), flight.track(dwell), flight.sensor, settings)
     assert slc

@@ -26,7 +26,6 @@ from sal_height.simulation.uncertainty_settings import AS_SIMULATED, NEPERS_PER_
 
 PRESET = load_preset("sal_spotlight")
 NOTHING = UncertaintySettings()
-RANGE = PRESET.flight.slant_range_m
 VACUUM = CorrectionSettings(air="none")
 
 

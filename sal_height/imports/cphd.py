@@ -12,6 +12,7 @@ from scipy.constants import speed_of_light
 
 from sal_height.errors import UserError
 from sal_height.geometry import Origin
+from sal_height.imaging import UNKNOWN_AIR, VACUUM
 from sal_height.imports.collection import write_collection
 from sal_height.imports.followed_point import Pulses, collection_of, following_sensor
 from sal_height.imports.sarkit_files import (
@@ -162,7 +163,8 @@ def import_cphd(path: Path, out: Path, channel: str = "") -> int:
     """Write a bag with a channel of a CPHD file as one dwell; returns the number of pulses.
 
     The map's origin is the image area reference point, with heights above WGS 84. The antenna is as wide as the pulses
-    sample, its boresight turned to the stabilisation reference point. The bag has the parameters that focus the scene.
+    sample, its boresight turned to the stabilisation reference point. The bag has the parameters that focus the scene,
+    in vacuum if the ranges to that point contain the delay of the air (TDTropoSRP); otherwise that is uncertain.
 
     Args:
         path: CPHD 1 file, domain FX or TOA, of one platform.
@@ -192,7 +194,9 @@ def import_cphd(path: Path, out: Path, channel: str = "") -> int:
         "sample_count": spectrum.count,
     }
     sensor = following_sensor(f"{name} {chosen}", pulses, fast_time, window)
-    write_collection(collection_of(pulses, spectrum.samples[None], sensor, origin, window), out)
+    is_corrected = "TDTropoSRP" in parameters.dtype.names and np.any(parameters["TDTropoSRP"])
+    air = VACUUM if is_corrected else UNKNOWN_AIR
+    write_collection(collection_of(pulses, spectrum.samples[None], sensor, origin, window, air), out)
     return len(pulses.antenna)
 
 

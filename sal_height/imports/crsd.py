@@ -14,6 +14,7 @@ from scipy.constants import speed_of_light
 from sal_height.beams import BeamTable
 from sal_height.errors import UserError
 from sal_height.geometry import Origin
+from sal_height.imaging import UNKNOWN_AIR
 from sal_height.imports.collection import write_collection
 from sal_height.imports.followed_point import Pulses, collection_of, following_sensor
 from sal_height.imports.sarkit_files import (
@@ -227,7 +228,7 @@ def import_crsd(path: Path, out: Path, channel: str = "") -> int:
     compressed, sensor = range_compressed(raw, of_chirps)
     spectra = _referred(compressed.samples, sensor, echoes, pulses)
     sensor = replace(sensor, config_hash="")
-    write_collection(collection_of(pulses, spectra, sensor, origin, window), out)
+    write_collection(collection_of(pulses, spectra, sensor, origin, window, UNKNOWN_AIR), out)
     return len(pulses.antenna)
 
 

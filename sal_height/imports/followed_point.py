@@ -93,7 +93,7 @@ def following_sensor(name: str, pulses: Pulses, fast_time: Mapping[str, Any], wi
     )
 
 
-def collection_of(pulses: Pulses, samples: C64, sensor: Sensor, origin: Origin, window: float) -> Collection:
+def collection_of(pulses: Pulses, samples: C64, sensor: Sensor, origin: Origin, window: float, air: str) -> Collection:
     """The collection of one dwell, with parameters that focus the swath that the samples cover.
 
     Args:
@@ -102,6 +102,7 @@ def collection_of(pulses: Pulses, samples: C64, sensor: Sensor, origin: Origin, 
         sensor: sensor of the dwell.
         origin: origin of the map.
         window: slant range around the reference point that the samples of a pulse cover, m.
+        air: air in the ranges, as the parameter of the compression.
     """
     states = states_towards(pulses.stamps_ns, pulses.antenna, pulses.velocity, pulses.reference, sensor.look_side)
     history = PhaseHistory(int(pulses.stamps_ns[0]), pulses.seconds, pulses.reference_range, samples)
@@ -111,7 +112,9 @@ def collection_of(pulses: Pulses, samples: C64, sensor: Sensor, origin: Origin, 
     range_ = float(np.linalg.norm(reference - antenna))
     oversampled = 1.2  # resolution of the image over the spacing of its pixels
     largest_side = 2000.0  # greatest side of the square that is imaged, m
-    image = focusing(sensor, pulses.antenna, range_, min(window / slope / 2, largest_side), resolution / oversampled)
+    image = focusing(
+        sensor, pulses.antenna, range_, min(window / slope / 2, largest_side), resolution / oversampled, air
+    )
     return Collection(sensor, [history], states, origin, image)
 
 
@@ -145,7 +148,9 @@ def states_towards(stamps_ns: I64, antenna: F64, velocity: F64, points: F64, loo
     ]
 
 
-def focusing(sensor: Sensor, antenna: F64, range_: float, side_m: float, widest_m: float) -> dict[str, dict[str, Any]]:
+def focusing(
+    sensor: Sensor, antenna: F64, range_: float, side_m: float, widest_m: float, air: str
+) -> dict[str, dict[str, Any]]:
     """Parameters that focus a square of level ground on pixels no farther apart than the aperture resolves.
 
     The resolution along the flight is wavelength * range / (2 * aperture length).
@@ -156,9 +161,11 @@ def focusing(sensor: Sensor, antenna: F64, range_: float, side_m: float, widest_
         range_: slant range of the middle, m.
         side_m: side of the square, m; reduced where it needs more than MOST_PIXELS pixels.
         widest_m: greatest spacing of pixels, m.
+        air: air in the ranges, as the parameter of the compression; those to a point that pulses are referred to may
+            contain its delay or not.
     """
     length = float(np.linalg.norm(np.diff(antenna, axis=0), axis=-1).sum())
     spacing = min(widest_m, sensor.wavelength * range_ / (2 * length))
     pixels = min(2 * round(side_m / 2 / spacing) + 1, MOST_PIXELS)
-    image = {"image_plane": "ground", "rows": pixels, "cols": pixels, "ground_spacing_m": spacing}
+    image = {"air": air, "image_plane": "ground", "rows": pixels, "cols": pixels, "ground_spacing_m": spacing}
     return {"sar_compression": image | {"range_window": "rectangular", "azimuth_window": "rectangular"}}

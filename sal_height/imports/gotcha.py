@@ -12,6 +12,7 @@ from scipy.constants import speed_of_light
 from scipy.io import loadmat
 
 from sal_height.errors import UserError
+from sal_height.imaging import UNKNOWN_AIR
 from sal_height.imports.collection import Collection, write_collection
 from sal_height.imports.followed_point import boresight_to, focusing, side_of, states_towards
 from sal_height.numeric import F64
@@ -93,7 +94,7 @@ def read_gotcha(files: list[Path], dwells: int = 1) -> Collection:
     # Greatest pixel spacing of the image, m: of range cells of 0.34 m on the ground; 6 files or less resolve no
     # more.
     widest_spacing = 0.2
-    image = focusing(sensor, antenna[:count], float(np.linalg.norm(middle)), scene, widest_spacing)
+    image = focusing(sensor, antenna[:count], float(np.linalg.norm(middle)), scene, widest_spacing, UNKNOWN_AIR)
     return Collection(sensor, histories, states, parameters=image)
 
 

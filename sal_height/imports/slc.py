@@ -31,10 +31,11 @@ from sal_height.bag.files import PARAMETERS
 from sal_height.bag.topics import FIX_TYPE, IMAGE_TYPE, SENSOR_TYPE
 from sal_height.bag.writer import BagWriter
 from sal_height.configuration import Float, Int, StrictKeys, read_yaml, validated
+from sal_height.engine.image_items import AIR_REMOVED
 from sal_height.engine.provenance import Provenance
 from sal_height.errors import UserError
 from sal_height.geometry import ApertureState, Grid, Origin, ranges_of_phase
-from sal_height.imaging import Slc
+from sal_height.imaging import UNKNOWN_AIR, Slc, StatedAir, errors_of_air
 from sal_height.imports.collection import Description, Positive
 from sal_height.imports.sicd import SicdImage, read_sicd
 from sal_height.messages.products import provenance_to_message
@@ -107,6 +108,7 @@ class ImagesDescription(Description):
     azimuth_window: WindowName = "rectangular"
     azimuth_axis: Literal[0, 1] = 1
     phase: Literal["absolute", "relative"] = "absolute"
+    air_delay: Literal["", "removed", "left"] = ""
 
     @property
     def wavelength(self) -> float:
@@ -181,7 +183,7 @@ class DescribedImages:
             raise UserError(f"Sensor {path} has the key {there[0]}, which SICD files state themselves; remove it.")
         images = [read_sicd(file) for file in files]
         stated = {"origin": _origin_at(images[0])} | _sensor_in(images) | given
-        windows = {key: stated.pop(key) for key in WINDOW_KEYS if key in stated}
+        of_images = {key: stated.pop(key) for key in (*WINDOW_KEYS, "air_delay") if key in stated}
         known = validated(Description, stated, f"Sensor {path}")
         channels = len(known.elevation_boresights_rad)
         if len(images) % channels:
@@ -197,7 +199,7 @@ class DescribedImages:
         if len(described_powers) != channels:
             raise UserError(f"Sensor {path}: noise_power has {len(described_powers)} numbers for {channels} channels.")
         powers = [one.noise_power or described_powers[number % channels] for number, one in enumerate(images)]
-        whole = stated | windows | {"images": places, "noise_power": tuple(powers[:channels])}
+        whole = stated | of_images | {"images": places, "noise_power": tuple(powers[:channels])}
         described = validated(ImagesDescription, whole, f"Sensor {path}")
         return cls(described, [one.pixels for one in images], powers)
 
@@ -219,6 +221,8 @@ class DescribedImages:
     def slc(self, number: int, samples: C64) -> Slc:
         """The images of a dwell with the phases of `ComplexImage`.
 
+        Unless the delay of the air is taken out of their ranges, it is an uncertainty of the aperture.
+
         Args:
             number: number of the dwell.
             samples: samples from `dwell`.
@@ -229,6 +233,9 @@ class DescribedImages:
         if described.phase == "absolute":
             turn = np.exp(4j * np.pi / described.wavelength * ranges_of_phase(grid, aperture))
             samples = samples * turn.astype(np.complex64)
+        if described.air_delay != AIR_REMOVED:
+            errors = errors_of_air(aperture, grid.middle, described.sensor_of(*grid.shape), StatedAir(air=UNKNOWN_AIR))
+            aperture = replace(aperture, covariance=aperture.covariance + errors.T @ errors)
         powers = np.array(self.noise_power[number * channels : (number + 1) * channels])
         unknown = np.full(channels, np.nan)
         return Slc(samples, grid, aperture, powers, unknown, described.azimuth_window, described.range_window)
@@ -284,6 +291,7 @@ def write_images(images: DescribedImages, out: Path) -> None:
         labels = ComplexImage(dwell=number, header=Header(stamp=messages.to_stamp(stamps_ns[number])))
         made = messages.slc_to_messages(images.slc(number, samples), labels, provenance)
         for image in made:
+            image.air_delay = described.air_delay
             messages.check_slc(image, sensor)
         return [messages.serialize(image) for image in made]
 

@@ -52,7 +52,7 @@ def description_of(flight: SimulatedFlight, **changes: Any) -> dict[str, Any]:
         "elevation_boresights_rad": list(sensor.elevation_boresights),
         "noise_power": list(sensor.noise_power),
         "uncertainty": asdict(preset.sensor.uncertainty),
-        "processing": {"sar_compression": {"rows": preset.image.rows, "cols": preset.image.cols}},
+        "processing": {"sar_compression": {"rows": preset.image.rows, "cols": preset.image.cols, "air": "none"}},
         **changes,
     }
 

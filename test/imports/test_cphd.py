@@ -13,8 +13,10 @@ from phase_history_files import assert_focused, complaint, only
 from scipy.constants import speed_of_light
 from written_cphd import BANDWIDTH, CONVENTIONS, PULSE_STEP, PULSES, write_cphd
 
+from sal_height.bag.reader import BagReader
 from sal_height.errors import UserError
 from sal_height.imports.cphd import import_cphd
+from sal_height.runs.chain.recorded_parameters import recorded_parameters
 
 pytestmark = pytest.mark.filterwarnings(
     "ignore:(open|read)_text is:DeprecationWarning"
@@ -68,6 +70,13 @@ def test_the_bag_knows_its_place_and_time(tmp_path: Path) -> None:
     frame = only(tmp_path / "bag", "/phase_history")
     first_s = 0.5 + 1.0 - PULSES // 2 * PULSE_STEP / SPEED + RANGE / speed_of_light
     assert frame.header.stamp.sec + frame.header.stamp.nanosec * 1e-9 == pytest.approx(1772359200 + first_s, abs=1e-6)
+
+
+@pytest.mark.parametrize(("seconds", "air"), [(0.0, "unknown"), (1.5e-8, "none")])
+def test_ranges_that_contain_the_delay_of_the_air_are_in_vacuum(seconds: float, air: str, tmp_path: Path) -> None:
+    """Where the file says that it is in the time of the reference point; else the delay is uncertain."""
+    import_cphd(write_cphd(tmp_path / "a.cphd", parameters={"TDTropoSRP": seconds}), tmp_path / "bag")
+    assert recorded_parameters(BagReader(tmp_path / "bag"))["sar_compression"]["air"] == air
 
 
 def test_the_channel_that_is_named_is_read(tmp_path: Path) -> None:

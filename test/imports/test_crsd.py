@@ -25,10 +25,12 @@ from written_crsd import (
 )
 
 from sal_height.bag.reader import BagReader
-from sal_height.engine.track import ACCURACY
+from sal_height.engine.registry import STAGES
 from sal_height.imports.crsd import import_crsd
 from sal_height.messages import field_from_message
 from sal_height.runs.replay.bag_replay import replay
+from sal_height.sensor import AS_DESCRIBED
+from sal_height.settings import settings_of
 
 pytestmark = pytest.mark.filterwarnings("ignore:(open|read)_text is:DeprecationWarning")  # of sarkit, which opens so
 
@@ -119,6 +121,15 @@ def test_a_channel_that_is_not_there_is_told(tmp_path: Path, capsys: pytest.Capt
     assert_one_sentence(said, "has no channel 'VV'; there are HH")
 
 
+AS_DESCRIBED_EXACTLY: dict[str, dict[str, Any]] = {
+    node: {name: 0.0 for name, one in settings_of(STAGES[node].settings).items() if one.default == AS_DESCRIBED}
+    for node in ("sar_compression", "ml_height")
+}
+"""Of a file that is written as it states; it cannot state how well its sensor is known."""
+
+AS_DESCRIBED_EXACTLY["sar_compression"]["air"] = "none"
+
+
 @pytest.mark.parametrize("height", [0.0, 12.0])
 def test_beams_of_one_antenna_become_channels_which_give_the_height(height: float, tmp_path: Path) -> None:
     """To 3.5 of the sigmas that are stated, of 7 cm each; the file has the upper beam first."""
@@ -130,9 +141,7 @@ def test_beams_of_one_antenna_become_channels_which_give_the_height(height: floa
     import_crsd(path, tmp_path / "bag")
     sensor = only(tmp_path / "bag", "/sensor_info")
     np.testing.assert_allclose(sensor.beams.elevation_boresights, ELEVATION + np.array(BEAM_OFFSETS), atol=1e-6)
-    replay(
-        tmp_path / "bag", tmp_path / "out", {"sar_compression": dict.fromkeys(ACCURACY, 0.0)}
-    )  # the antenna is where the file has it
+    replay(tmp_path / "bag", tmp_path / "out", AS_DESCRIBED_EXACTLY)
     surface = field_from_message(only(tmp_path / "out" / "bag", "/ml/height")).first
     best = np.unravel_index(np.nanargmin(surface.sigma), surface.sigma.shape)
     assert 0.04 < surface.sigma[best] < 0.1

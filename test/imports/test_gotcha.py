@@ -155,7 +155,7 @@ def test_pixels_are_as_close_as_the_aperture_resolves(tmp_path: Path) -> None:
         angle = np.radians(np.linspace(0, degrees, 1000))
         antenna = 7000 * np.stack([np.cos(angle), np.sin(angle), np.ones(1000)], axis=-1)
         resolution = sensor.wavelength * 7000 * np.sqrt(2) / (2 * 7000 * np.radians(degrees))
-        image = focusing(sensor, antenna, float(np.linalg.norm(antenna[len(antenna) // 2])), 100.0, 0.2)[
+        image = focusing(sensor, antenna, float(np.linalg.norm(antenna[len(antenna) // 2])), 100.0, 0.2, "none")[
             "sar_compression"
         ]
         assert image["ground_spacing_m"] == pytest.approx(spacing or resolution, rel=1e-4)

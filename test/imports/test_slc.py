@@ -133,7 +133,8 @@ def check_heights(made: Path, flown: Path, tolerance_m: float) -> None:
 def test_images_come_back_from_sicd_with_their_heights(flown: Path, tmp_path: Path) -> None:
     """Through earth-centred coordinates of 6.4e6 m, and phases by ranges of 5 km in wavelengths of 1.55 um."""
     assert write_sicd(flown, tmp_path / "sicd", ORIGIN) == 8 * DWELLS
-    description = write_description(tmp_path / "beams.yaml", beams_of(flown) | {"origin": PLACE})
+    content = beams_of(flown) | {"origin": PLACE, "air_delay": "removed"}
+    description = write_description(tmp_path / "beams.yaml", content)
     files = sorted((tmp_path / "sicd").iterdir())
     assert import_slc(description, files, tmp_path / "bag") == DWELLS
     replay(tmp_path / "bag", tmp_path / "out", {}, estimators=["ml"], part=Part("slc"))
@@ -149,7 +150,7 @@ def test_images_come_back_from_arrays_with_their_heights(flown: Path, tmp_path: 
     (info,) = decoded(flown, "/sensor_info")
     sensor = messages.sensor_from_message(info)
     content = beams_of(flown) | described(images[::8], sensor)
-    content |= {"phase": "relative", "range_window": "taylor", "azimuth_window": "taylor"}
+    content |= {"air_delay": "removed", "phase": "relative", "range_window": "taylor", "azimuth_window": "taylor"}
     content["noise_power"] = [image.noise_power for image in images[:8]]
     files = [tmp_path / f"{number}.npz" for number in range(DWELLS)]
     for file, samples in zip(files, samples_of(flown), strict=True):
@@ -159,6 +160,25 @@ def test_images_come_back_from_arrays_with_their_heights(flown: Path, tmp_path: 
     np.testing.assert_array_equal(samples_of(tmp_path / "bag"), samples_of(flown))
     replay(tmp_path / "bag", tmp_path / "out", {}, estimators=["ml"], part=Part("slc"))
     check_heights(tmp_path / "out" / "bag", flown, 1e-5)
+
+
+@pytest.mark.parametrize("air_delay", ["", "left"])
+def test_ranges_that_may_contain_the_delay_of_the_air_are_uncertain_by_all_of_it(
+    flown: Path, tmp_path: Path, air_delay: str
+) -> None:
+    """Of 3.5 km of standard atmosphere, delay and bend together: 0.68 m of height."""
+    images = decoded(flown, "/slc")
+    (info,) = decoded(flown, "/sensor_info")
+    content = beams_of(flown) | described(images[:1], messages.sensor_from_message(info)) | {"air_delay": air_delay}
+    content |= {"phase": "relative", "range_window": "taylor", "azimuth_window": "taylor"}
+    content["noise_power"] = [image.noise_power for image in images[:8]]
+    np.savez(tmp_path / "one.npz", samples_of(flown)[0])
+    import_slc(write_description(tmp_path / "mine.yaml", content), [tmp_path / "one.npz"], tmp_path / "bag")
+    image = decoded(tmp_path / "bag", "/slc")[0]
+    assert image.air_delay == air_delay
+    replay(tmp_path / "bag", tmp_path / "out", {}, estimators=["ml"], part=Part("slc"))
+    (field,) = decoded(tmp_path / "out" / "bag", "/ml/height")
+    assert np.nanmedian(field.surfaces[0].sigma) == pytest.approx(0.682, abs=0.005)
 
 
 SHAPE = (9, 14)

@@ -24,7 +24,7 @@ from sal_height.engine.provenance import Same
 from sal_height.numeric.range_profiles import _deconvolution
 from sal_height.numeric.windows import KEPT, _half_power_width, broadening, window
 from sal_height.pipeline.channels import _channels_and_beams
-from sal_height.sensor import whitened_channels
+from sal_height.sensor import KNOWN_BEAMS, whitened_channels
 from sal_height.sensor.waveform import _waveform
 
 
@@ -36,7 +36,7 @@ def new_table(folder: Path, number: int) -> Any:
 
 def new_beams(number: int) -> Any:
     sensor = replace(make_sensor(), name=str(number), config_hash="")
-    return _channels_and_beams(sensor, whitened_channels, None, "rectangular", (0, 1), (1.0, 1.0))
+    return _channels_and_beams(sensor, whitened_channels, None, KNOWN_BEAMS, "rectangular", (0, 1), (1.0, 1.0))
 
 
 def new_contrast(samples: int) -> Any:

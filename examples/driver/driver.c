@@ -93,6 +93,16 @@ static void describe(sal_height_msgs__msg__SensorInfo * info) {
     info->channels.noise_power.data[detector] = 1.0;
   }
   set_text(&info->mounting.frame_id, "sensor"); /* in the origin of base_link, and not turned: w of the rotation is 1 */
+
+  /* Standard deviations of all this. A new sequence is 0: exact, as the echoes below; what stays empty is unknown. */
+  set_count(&info->mounting.lever_arm_covariance, 9);
+  set_count(&info->mounting.rotation_covariance, 9);
+  set_count(&info->uncertainty.range_delay, 1);
+  set_count(&info->uncertainty.sample_clock, 1);
+  set_count(&info->uncertainty.odometry_delay, 1);
+  set_count(&info->uncertainty.beam_pitch, 1);
+  set_count(&info->uncertainty.beam_width, 1);
+  set_count(&info->uncertainty.channel_gain, 1);
 }
 
 /* The platform, s after the first state: on a line to the east, level, so that the ground abeam is at RANGE. */

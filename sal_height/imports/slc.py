@@ -35,12 +35,13 @@ from sal_height.engine.image_items import AIR_REMOVED
 from sal_height.engine.provenance import Provenance
 from sal_height.errors import UserError
 from sal_height.geometry import ApertureState, Grid, Origin, ranges_of_phase
-from sal_height.imaging import UNKNOWN_AIR, Slc, StatedAir, errors_of_air
+from sal_height.imaging import UNKNOWN_AIR, VACUUM, CorrectionSettings, Slc
 from sal_height.imports.collection import Description, Positive
 from sal_height.imports.sicd import SicdImage, read_sicd
 from sal_height.messages.products import provenance_to_message
 from sal_height.messages.types import ComplexImage, Header
 from sal_height.numeric import C64, F64
+from sal_height.pipeline.instrument import with_instrument
 from sal_height.response.image import AXES
 from sal_height.runs.responses.images import images_of
 from sal_height.sensor import Sensor
@@ -233,9 +234,6 @@ class DescribedImages:
         if described.phase == "absolute":
             turn = np.exp(4j * np.pi / described.wavelength * ranges_of_phase(grid, aperture))
             samples = samples * turn.astype(np.complex64)
-        if described.air_delay != AIR_REMOVED:
-            errors = errors_of_air(aperture, grid.middle, described.sensor_of(*grid.shape), StatedAir(air=UNKNOWN_AIR))
-            aperture = replace(aperture, covariance=aperture.covariance + errors.T @ errors)
         powers = np.array(self.noise_power[number * channels : (number + 1) * channels])
         unknown = np.full(channels, np.nan)
         return Slc(samples, grid, aperture, powers, unknown, described.azimuth_window, described.range_window)
@@ -286,10 +284,14 @@ def write_images(images: DescribedImages, out: Path) -> None:
     if any(later <= earlier for earlier, later in pairwise(stamps_ns)):
         raise UserError("The images have times that do not increase from dwell to dwell; give them in that order.")
 
+    # Errors that whoever formed the images may have left in them.
+    left = CorrectionSettings(air=VACUUM if described.air_delay == AIR_REMOVED else UNKNOWN_AIR)
+
     def recorded(number: int, samples: C64) -> list[bytes]:
         """CDR bytes of the images of a dwell, once they are checked."""
         labels = ComplexImage(dwell=number, header=Header(stamp=messages.to_stamp(stamps_ns[number])))
-        made = messages.slc_to_messages(images.slc(number, samples), labels, provenance)
+        slc = with_instrument(images.slc(number, samples), sensor, left)
+        made = messages.slc_to_messages(slc, labels, provenance)
         for image in made:
             image.air_delay = described.air_delay
             messages.check_slc(image, sensor)

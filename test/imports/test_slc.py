@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +36,7 @@ from sal_height.runs.live.sensor_bag import record_sensor
 from sal_height.runs.replay.bag_replay import replay
 from sal_height.sensor import Sensor
 from sal_height.simulation import load_preset
+from sal_height.simulation.uncertainty_settings import AS_SIMULATED
 
 pytestmark = [
     pytest.mark.filterwarnings("ignore:(read|open)_text is deprecated:DeprecationWarning"),  # in sarkit
@@ -73,6 +74,7 @@ def beams_of(bag: Path) -> dict[str, Any]:
         "azimuth_diameter_m": sensor.azimuth_diameter,
         "pattern": sensor.pattern,
         "elevation_boresights_rad": list(sensor.elevation_boresights),
+        "uncertainty": asdict(AS_SIMULATED),
         "processing": {"ml_height": {"range_looks": 2, "azimuth_looks": 2}},
     }
 
@@ -222,6 +224,7 @@ def three_beams(**changes: Any) -> dict[str, Any]:
         "azimuth_diameter_m": SENSOR.azimuth_diameter,
         "pattern": SENSOR.pattern,
         "elevation_boresights_rad": [float(angle) for angle in SENSOR.elevation_boresights],
+        "uncertainty": asdict(AS_SIMULATED),
         **changes,
     }
 

@@ -56,6 +56,11 @@ static void set_count(rosidl_runtime_c__double__Sequence * field, size_t count) 
   check(rosidl_runtime_c__double__Sequence__init(field, count), "memory");
 }
 
+static void set_zeros(rosidl_runtime_c__double__Sequence * field, size_t count) {
+  set_count(field, count);
+  memset(field->data, 0, count * sizeof *field->data);
+}
+
 /* Where a detector looks: from nadir towards the right, half a beamwidth from the next. */
 static double boresight(int detector) {
   return LOOK_ANGLE + (detector - 0.5 * (DETECTORS - 1)) * 0.5 * WAVELENGTH / APERTURE;
@@ -94,15 +99,15 @@ static void describe(sal_height_msgs__msg__SensorInfo * info) {
   }
   set_text(&info->mounting.frame_id, "sensor"); /* in the origin of base_link, and not turned: w of the rotation is 1 */
 
-  /* Standard deviations of all this. A new sequence is 0: exact, as the echoes below; what stays empty is unknown. */
-  set_count(&info->mounting.lever_arm_covariance, 9);
-  set_count(&info->mounting.rotation_covariance, 9);
-  set_count(&info->uncertainty.range_delay, 1);
-  set_count(&info->uncertainty.sample_clock, 1);
-  set_count(&info->uncertainty.odometry_delay, 1);
-  set_count(&info->uncertainty.beam_pitch, 1);
-  set_count(&info->uncertainty.beam_width, 1);
-  set_count(&info->uncertainty.channel_gain, 1);
+  /* Standard deviations of all this: exact, as the echoes below. What stays empty is unknown. */
+  set_zeros(&info->mounting.lever_arm_covariance, 9);
+  set_zeros(&info->mounting.rotation_covariance, 9);
+  set_zeros(&info->uncertainty.range_delay, 1);
+  set_zeros(&info->uncertainty.sample_clock, 1);
+  set_zeros(&info->uncertainty.odometry_delay, 1);
+  set_zeros(&info->uncertainty.beam_pitch, 1);
+  set_zeros(&info->uncertainty.beam_width, 1);
+  set_zeros(&info->uncertainty.channel_gain, 1);
 }
 
 /* The platform, s after the first state: on a line to the east, level, so that the ground abeam is at RANGE. */

@@ -202,8 +202,9 @@ def recorded_at_start(
     for source, layer in layers:  # the later ones replace the earlier ones
         values = merged(values, layer)
         sources |= dict.fromkeys(parameters_in(layer), source)
-    # The provenance, and the custom data of a simulated flight, state all that nodes had.
-    before = _before(values, merged(stated[PROVENANCE], custom if PRESET in reader.custom_data else {}))
+    # The provenance states all that nodes had, and so do the custom data of a flight that was simulated before.
+    is_simulated = PRESET in reader.custom_data and not _states_deviations(custom)
+    before = _before(values, merged(stated[PROVENANCE], custom if is_simulated else {}))
     values = merged(values, before)
     sources |= dict.fromkeys(parameters_in(before), PROVENANCE)
     unmade = {parameter: value for parameter, value in unmade.items() if parameter not in sources}
@@ -228,11 +229,19 @@ def _before(values: NodeParameters, stated: NodeParameters) -> dict[str, dict[st
     """
     found: dict[str, dict[str, Any]] = {}
     for node in STAGES.keys() & stated.keys():
-        entries = settings_of(STAGES[node].settings).items()
-        assumed = [name for name, entry in entries if entry.default == AS_DESCRIBED]
-        then = {**dict.fromkeys(assumed, 0.0), **BEFORE.get(node, {})}
+        then = {**dict.fromkeys(_deviations(node), 0.0), **BEFORE.get(node, {})}
         found[node] = {name: value for name, value in then.items() if name not in values[node]}
     return found
+
+
+def _deviations(node: str) -> list[str]:
+    """Standard deviations of a node that are assumed where nobody states them."""
+    return [name for name, entry in settings_of(STAGES[node].settings).items() if entry.default == AS_DESCRIBED]
+
+
+def _states_deviations(values: NodeParameters) -> bool:
+    """True if any of them is stated."""
+    return any(name in values[node] for node in STAGES.keys() & values.keys() for name in _deviations(node))
 
 
 def _unlike(stated: NodeParameters, others: NodeParameters) -> dict[str, dict[str, Any]]:

@@ -430,6 +430,15 @@ def test_numbers_without_a_point_are_numbers(tmp_path: Path) -> None:
     assert found.values["sar_compression"] == {"odometry_delay_sigma_s": 1e-5}
 
 
+def test_a_simulated_sensor_that_states_no_air_flew_in_vacuum(tmp_path: Path) -> None:
+    """As bags do that were recorded before the default was another one; what is stated counts."""
+    simulated = {"preset": "{}"}
+    assert processing(written(tmp_path / "a", [frame(0)], simulated)).values["sar_compression"] == {"air": "none"}
+    stated = simulated | custom(sar_compression={"air": "standard"})
+    assert processing(written(tmp_path / "b", [frame(0)], stated)).values["sar_compression"] == {"air": "standard"}
+    assert "sar_compression" not in processing(written(tmp_path / "c", [frame(0)], custom())).values
+
+
 def test_changes_are_scheduled_but_for_what_the_user_sets_and_for_nodes_that_are_not_there(
     tmp_path: Path,
 ) -> None:

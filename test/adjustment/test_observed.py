@@ -52,7 +52,8 @@ def imaged(dwell: int, error: Error | None, **settings: object) -> tuple[Slc, He
     if error:
         states, sensor = error.states(states), error.sensor(sensor)
     image = ImageSettings(air="none", rows=184, cols=12, **{"autofocus": "never", **settings})
-    slc = Compressor().add(flight.phase_history(dwell), Trajectory(states), sensor, image)
+    track = Trajectory(states, accuracy=flight.odometry_accuracy)
+    slc = Compressor().add(flight.phase_history(dwell), track, sensor, image)
     assert slc
     return slc, heights(slc, sensor, ml, ml.settings(range_looks=2, azimuth_looks=2)), sensor
 

@@ -45,7 +45,7 @@ HEIGHTS = heights_in(small_flight(1), **SMALL)[0]
         (HEIGHTS.aperture, 14),
         (HEIGHTS.surfaces[0], 40),
         (HEIGHTS.provenance, 8),
-        (HEIGHTS, 200),
+        (HEIGHTS, 300),
     ],
     ids=["frames", "state", "grid", "aperture", "surface", "provenance", "heights"],
 )

@@ -13,6 +13,7 @@ import pytest
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
+from sal_height.engine.track import ACCURACY
 from sal_height.messages.types import HeightImage
 from sal_height.nodes.processing import PROCESSING
 from sal_height.nodes.transport.graph import Graph
@@ -42,9 +43,8 @@ def driver(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_heights_of_the_driver_in_c_are_those_of_its_posts(
     driver: Path, height: float, domain_id: int, graph: Graph
 ) -> None:
-    compression = graph.add(
-        PROCESSING["sar_compression"](context=graph.context, parameter_overrides=[Parameter("air", value="none")])
-    )
+    stated = [Parameter("air", value="none"), *(Parameter(name, value=0.0) for name in ACCURACY)]
+    compression = graph.add(PROCESSING["sar_compression"](context=graph.context, parameter_overrides=stated))
     graph.add(PROCESSING["ml_height"](context=graph.context))
     images: list[HeightImage] = []
     subscribe(graph.add(Node("listener", context=graph.context)), HeightImage, "ml/height", images.append, FRAMES_QOS)

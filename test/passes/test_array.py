@@ -114,7 +114,8 @@ def errors_of(
         samples = samples + amplitude * beams.response(elevation + apart * beams.beamwidth, 0.0)[:, None]
     covariance = np.einsum("tki,tkj->tij", samples, samples.conj())[None].astype(np.complex64)
     estimator = ESTIMATORS[name]
-    found = estimator.estimate(Looks.of(covariance, float(looks)), beams, estimator.settings())
+    settings = estimator.settings(layover=name != "capon")
+    found = estimator.estimate(Looks.of(covariance, float(looks)), beams, settings)
     good = found.validity[0] == 0
     return np.asarray(((found.elevation[0] - elevation) / found.sigma[0])[good]), float(good.mean())
 

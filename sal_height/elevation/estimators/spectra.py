@@ -15,8 +15,9 @@ stochastic Cramer-Rao bound (Stoica and Nehorai, IEEE Trans. Acoustics, Speech a
 for one source), as is that of maximum likelihood.
 
 Neither searches for a second scatterer. A weak one within the resolution leaves the pixel with a single peak and
-displaces it: the tests of maximum likelihood decide which pixels hold a single one (`layover.models.resolve`), and the
-others have no height.
+displaces it. The tests of maximum likelihood decide which pixels hold a single surface (`layover.models.resolve`); the
+others have no height, unless parameter `layover` is false. Then the power along the slope of the response shows by how
+much Capon's peak is displaced (`misfit_factor`).
 """
 
 from __future__ import annotations
@@ -24,10 +25,11 @@ from __future__ import annotations
 import numpy as np
 
 from sal_height.beams import Beams
-from sal_height.elevation.array.estimate import ElevationEstimate
+from sal_height.elevation.array.estimate import ElevationEstimate, noise_limit, sidelobe_limit
 from sal_height.elevation.array.likelihood import SinglePeaks, estimate_of, peaks_by_spectrum
+from sal_height.elevation.layover.extended import free_looks
 from sal_height.elevation.layover.models import resolve, where_single
-from sal_height.elevation.layover.single import LayoverSettings
+from sal_height.elevation.layover.single import LayoverSettings, PixelNoise
 from sal_height.elevation.layover.two_channels import in_two_channels
 from sal_height.elevation.looks.looks import Covariance, Looks
 from sal_height.errors import UserError
@@ -55,7 +57,8 @@ class CaponSettings(LayoverSettings):
 def capon_elevation(looks: Looks, beams: Beams, settings: CaponSettings) -> ElevationEstimate:
     """Elevation of the peak of Capon's spectrum.
 
-    Sigma is that of maximum likelihood times `deviation_factor`. Arguments and errors as in `ml_elevation`.
+    Sigma is that of maximum likelihood times `deviation_factor`, and `misfit_factor` where a pixel contains several
+    scatterers. Arguments and errors as in `ml_elevation`.
     """
 
     def spectrum(covariance: Covariance, count: F64) -> Covariance:
@@ -63,7 +66,32 @@ def capon_elevation(looks: Looks, beams: Beams, settings: CaponSettings) -> Elev
         return -np.linalg.inv(mean + (settings.loading * np.eye(beams.count)).astype(covariance.dtype))
 
     peaks = peaks_by_spectrum(spectrum, looks, beams, settings)
-    return _estimate(peaks, deviation_factor(looks.count, beams, settings.loading), looks, beams, settings)
+    deviation = deviation_factor(looks.count, beams, settings.loading)
+    if beams.count > 2:
+        deviation = deviation * misfit_factor(peaks, looks, beams, settings)
+    return _estimate(peaks, deviation, looks, beams, settings)
+
+
+def misfit_factor(peaks: SinglePeaks, looks: Looks, beams: Beams, settings: CaponSettings) -> F64:
+    """Standard deviation of an estimate where a pixel has more than one scatterer, over that of noise alone.
+
+    With the derivative s_k of the response along its slope in look k, the estimate is off by sum_k Re(A_k* s_k) over
+    sum_k |A_k|^2 D / |a|^2. Whatever the cause of s_k, if its phase is not that of A_k, the real part has half of its
+    power, so that the variance grows by the power along the slope over that of noise, of which K - 1/2 complex
+    dimensions are left (the variance of a misspecified likelihood: White, Econometrica 50, 1982). Power that noise,
+    beams and level ground rarely exceed leaves the factor at 1. A single look does not show the part in phase, which
+    moves the peak as another elevation does.
+
+    Args:
+        peaks: likelihood at the estimates.
+        looks: covariance of the pixels.
+        beams: beams of the channels.
+        settings: rates of false alarms.
+    """
+    noise, free = PixelNoise.of(peaks, looks, beams), np.maximum(free_looks(looks.count), 0.5)
+    over = peaks.along_slope / (noise.raised * noise.along_slope)
+    rare = noise_limit(free, settings.false_alarm_rate) + sidelobe_limit(looks.leaked, settings.sidelobe_rate)
+    return np.sqrt(np.where(over > rare, over / free, 1.0))
 
 
 def deviation_factor(count: F64, beams: Beams, loading: float) -> F64:

@@ -7,9 +7,8 @@ only detected.
 
 Of the power along the slope one real dimension of K complex ones, that in phase with the scatterer, moves the
 elevation; K - 1/2 are left. If phases are those of speckle, the variance is that of noise times the power along the
-slope over that of noise (the variance of a misspecified likelihood: White, Econometrica 50, 1982). A few looks hardly
-show it, so neighbouring pixels give the usual power. Sigma includes both, but not that the mean of two surfaces is
-neither of them, which no look shows.
+slope over that of noise (`spectra.misfit_factor`). A few looks hardly show it, so neighbouring pixels give the usual
+power. Sigma includes both, but not that the mean of two surfaces is neither of them, which no look shows.
 
 The responses of more than two detectors in sidelobes differ from those in the main lobe; of two, the ratio is the same.
 An apparent scatterer between the boresights may be one in a sidelobe, brighter by as much as the sidelobe is weaker.

@@ -78,7 +78,8 @@ def heights_of_bags(
     of_passes = {name: value for name, value in (wanted or {}).items() if name in PassSettings.model_fields}
     of_estimator = {name: value for name, value in (wanted or {}).items() if name not in of_passes}
     settings = PassSettings(**of_passes)
-    height_settings = maker.settings(**{**OF_POINTS, **of_estimator})
+    # Capon's method is for points that have a weak neighbour: its sigma contains what that displaces them by.
+    height_settings = maker.settings(**{**OF_POINTS, "layover": estimator != "capon", **of_estimator})
     looks = height_settings.range_looks, height_settings.azimuth_looks
     if looks != (1, 1):
         raise UserError(

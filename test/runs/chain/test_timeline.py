@@ -118,7 +118,6 @@ def test_paths_in_the_provenance_are_apart_unless_nodes_state_them(tmp_path: Pat
     assert flight.start == {
         ("height_adjuster", "targets"): ("", "provenance"),
         ("sar_compression", "calibration"): ("topic", "provenance"),
-        ("sar_compression", "air"): ("none", "provenance"),  # as it was before there was the parameter
     }
     stated = found(tmp_path / "stated", told("height_adjuster", **made), *said)
     assert stated.start == {**flight.start, ("height_adjuster", "terrain"): ("a.tif", "parameter event")}

@@ -26,7 +26,7 @@ def recorded(one: Pass, folder: Path) -> Path:
     stamps = np.rint(one.history.pulse_times * 1e9).astype(np.int64)
     velocity = np.asarray(np.gradient(one.antenna, stamps * 1e-9, axis=0))
     states = states_towards(stamps, one.antenna, velocity, np.zeros(3), one.sensor.look_side)
-    image = focusing(one.sensor, one.antenna, SMALL.distance, 6.0, 0.2)
+    image = focusing(one.sensor, one.antenna, SMALL.distance, 6.0, 0.2, "none")
     write_collection(Collection(one.sensor, [one.history], states, parameters=image), folder)
     return folder
 

@@ -11,7 +11,7 @@ from functools import lru_cache
 
 import numpy as np
 from scipy.ndimage import convolve1d
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from sal_height.numeric import F32, F64
 
@@ -52,4 +52,4 @@ def _excess(misfit: F32) -> F32:
 @lru_cache(maxsize=4)
 def _limits(bits: int) -> F64:
     """Chi-square that is exceeded with the probability CHANCE, by its degrees of freedom from 0 to 2^bits."""
-    return np.r_[np.inf, chi2.isf(CHANCE, np.arange(1, 2**bits + 1))]
+    return np.r_[np.inf, chdtri(np.arange(1, 2**bits + 1), CHANCE)]

@@ -36,8 +36,10 @@ def remove_orphans() -> None:
     """Remove the segments of processes that were killed: 64 MB of each would stay until the machine restarts."""
     for lock in SHARED_MEMORY.glob(f"{SEGMENT}*{LOCK}"):
         name = lock.name.removesuffix(LOCK)
+        if _PORT.fullmatch(name):
+            continue  # whoever looks for dead ports meanwhile would take one that is locked for a port in use
         with suppress(OSError), _locked(lock, fcntl.LOCK_EX):
-            if not _PORT.fullmatch(name) and time.time() - lock.stat().st_mtime >= YOUNG_S:
+            if time.time() - lock.stat().st_mtime >= YOUNG_S:
                 _remove(name)
 
 

@@ -135,3 +135,16 @@ def test_ports_that_are_avoided_are_not_lost_ones_and_are_removed_in_time(
     avoid_dead_ports()
     assert not any(exist({name}) or exist({name + LOCK}) for name in dead)
     assert exist(own)
+
+
+def test_who_removes_segments_locks_no_port(start: Start, domain_id: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Or another process that starts meanwhile would not find out that it is dead."""
+    program = start(domain_id)
+    ports = ports_read(folder_of(program))
+    killed(program)
+    locked = list[Path]()
+    within = leftovers._locked
+    monkeypatch.setattr(leftovers, "_locked", lambda file, kind: (locked.append(file), within(file, kind))[1])
+    remove_orphans()
+    assert locked
+    assert not {file.name.removesuffix(LOCK) for file in locked} & ports

@@ -43,19 +43,32 @@ class Assumption(NamedTuple):
     parameter: str
 
 
-def doubts_of_assumed(name: str, assumed: Sequence[Assumption]) -> tuple[Doubt, ...]:
+class Unknown(NamedTuple):
+    """What nobody states, as in a message, and where it could be stated, but for parameters."""
+
+    what: str
+    where: str
+
+
+UNKNOWN_SENSOR = Unknown(
+    "Nobody states how well the sensor is known",
+    "(0: exact) under uncertainty in the sensor's description, in sensor_info,",
+)
+
+
+def doubts_of_assumed(name: str, unknown: Unknown, assumed: Sequence[Assumption]) -> tuple[Doubt, ...]:
     """The doubt about standard deviations that are assumed; none if there are none.
 
     Args:
         name: name of the doubt.
+        unknown: what nobody states.
         assumed: standard deviations.
     """
     if not assumed:
         return ()
     sentence = (
-        "Nobody states how well the sensor is known; assumed are standard deviations of "
-        f"{_listed([one.what for one in assumed])}. State what is known (0: exact) under uncertainty in the sensor's "
-        f"description, in sensor_info, or by {_listed([one.parameter for one in assumed])}."
+        f"{unknown.what}; assumed are standard deviations of {_listed([one.what for one in assumed])}. State what is "
+        f"known {unknown.where} or by {_listed([one.parameter for one in assumed])}."
     )
     return (Doubt(name, sentence),)
 

@@ -12,17 +12,17 @@ from scipy.spatial.transform import Rotation
 
 from sal_height.elevation import ESTIMATORS, HeightSettings, MlSettings
 from sal_height.geometry import AT_BASE_LINK
-from sal_height.imaging import CorrectionSettings, ImageSettings, Slc, image_beams, with_all_errors, with_known_errors
+from sal_height.imaging import CorrectionSettings, ImageSettings, Slc, image_beams, with_known_errors
 from sal_height.imaging.pixels import line_of_sight
 from sal_height.numeric import fraction_of
 from sal_height.pipeline import Compressor, heights, known_beams
-from sal_height.pipeline.instrument import INSTRUMENT
+from sal_height.pipeline.instrument import INSTRUMENT, with_instrument
 from sal_height.runs.truth.comparison import SurfaceComparison, compare, joined_comparisons
 from sal_height.runs.truth.surface_report import as_flown, true_surfaces
-from sal_height.sensor import EXACT, NOTHING_STATED, BeamErrors, PhaseHistory, Sensor, SensorUncertainty
+from sal_height.sensor import EXACT, NEPERS_PER_DB, NOTHING_STATED, BeamErrors, PhaseHistory, Sensor, SensorUncertainty
 from sal_height.simulation import SimulatedFlight, UncertaintySettings, flight_of, load_preset
 from sal_height.simulation.odometry_errors import OdometryErrors
-from sal_height.simulation.uncertainty_settings import AS_SIMULATED, NEPERS_PER_DB
+from sal_height.simulation.uncertainty_settings import AS_SIMULATED
 
 PRESET = load_preset("sal_spotlight")
 NOTHING = UncertaintySettings()
@@ -124,7 +124,7 @@ def test_what_is_assumed_are_shifts_and_turns_of_an_instrument_that_nobody_calib
 
 def test_the_range_delay_of_a_coarse_radar_is_a_range_cell(slcs: tuple[Slc, Slc]) -> None:
     sensor = replace(described(AS_SIMULATED), uncertainty=replace(EXACT, range_delay=None), bandwidth=7.5e6)
-    aperture = with_all_errors(slcs[1].aperture, slcs[1].grid.middle, sensor, VACUUM)
+    aperture = with_instrument(slcs[1], sensor, VACUUM).aperture
     assert np.sqrt(np.trace(aperture.covariance)) == pytest.approx(sensor.range_resolution)
 
 

@@ -65,9 +65,9 @@ ODOMETRY_KEPT_S = 2e5
 pass before. Memory is limited by the number of samples."""
 
 KNOWN = "boresight_sigma_rad", "lever_arm_sigma_m", "odometry_delay_sigma_s"
-"""Settings that the compression has as well, whose values there count unless they are NOT_STATED."""
+"""Settings that the compression has as well, whose values there count unless they are SAYS_NOTHING."""
 
-NOT_STATED = None, 0.0, AS_DESCRIBED
+SAYS_NOTHING = None, 0.0, AS_DESCRIBED
 """Values of standard deviations of the compression that state nothing for the adjustment."""
 
 POSE_ERROR = "pose_error"
@@ -446,7 +446,7 @@ def _known(settings: AdjusterSettings, stage: Mapping[str, Any]) -> AdjustmentSe
     """
     values = {name: getattr(settings, name) for name in settings_of(AdjustmentSettings)}
     return AdjustmentSettings(
-        **{**values, **{name: stage[name] for name in KNOWN if stage.get(name) not in NOT_STATED}}
+        **{**values, **{name: stage[name] for name in KNOWN if stage.get(name) not in SAYS_NOTHING}}
     )
 
 

@@ -23,7 +23,7 @@ from sal_height.engine.settings import ChannelSettings, processing_of
 from sal_height.engine.stage import FOREVER_NS, DwellKey, Job, Notice, Port, Product, Result, loss_of
 from sal_height.errors import Rejected
 from sal_height.imaging import ImageSettings
-from sal_height.pipeline import heights_of_dwells, known_beams, live_channels
+from sal_height.pipeline import heights_of_dwells, live_channels
 from sal_height.rehearsal import once, rehearse_heights
 from sal_height.relief import HeightField
 from sal_height.sensor import Sensor
@@ -125,7 +125,7 @@ class HeightStage(ImageStage):
         """Estimate the heights of a dwell."""
         images = images_of(whole)
         (field,) = heights_of_dwells([images.slc], whole.sensor, self.estimator, job.settings, whole.supplies)
-        yield from self._products(images, field, whole, job.settings)
+        yield from self._products(images, field, whole.sensor, job.settings)
 
     def _estimate_together(self, jobs: Sequence[Job]) -> Iterator[Sequence[Result]]:
         """Estimate several dwells; where one cannot be processed, each by itself, so that only it is lost."""
@@ -140,15 +140,14 @@ class HeightStage(ImageStage):
             return
         for job, one, field in zip(jobs, images, fields, strict=True):
             try:
-                results: Sequence[Result] = list(self._products(one, field, first, job.settings))
+                results: Sequence[Result] = list(self._products(one, field, first.sensor, job.settings))
             except Exception as error:  # noqa: BLE001 (no input may end a host)
                 results = [loss_of(error, job.dwell, job.messages)]
             yield results
 
-    def _products(self, images: Images, field: HeightField, whole: WholeDwell, settings: Any) -> Iterator[Result]:
+    def _products(self, images: Images, field: HeightField, sensor: Sensor, settings: Any) -> Iterator[Result]:
         """The heights, and warnings on clipped samples, and on what contradicts the description or is missing in it."""
-        slc, sensor, number = images.slc, whole.sensor, images.key.number
-        doubts = (*known_beams(sensor, settings, whole.supplies).doubts, *field.doubts)
+        slc, number = images.slc, images.key.number
         if np.any(field.validity == Validity.SATURATED):
             fraction, limit = slc.saturated_share.max(), settings.max_saturated_fraction
             yield Notice(
@@ -167,11 +166,11 @@ class HeightStage(ImageStage):
             looks=(settings.range_looks, settings.azimuth_looks),
             provenance=images.provenance.derived(self.name, used),
             order=images.order,
-            doubts=(*images.doubts, *doubts),
+            doubts=(*images.doubts, *field.doubts),
             fit=(*images.fit, *field.fit),
             **packed(field),
         )
-        yield from (Notice(one.name, f"Dwell {number}: {one.sentence}", images.key) for one in doubts)
+        yield from (Notice(one.name, f"Dwell {number}: {one.sentence}", images.key) for one in field.doubts)
         yield Product(f"{self.estimator.name}/height", heights)
 
 

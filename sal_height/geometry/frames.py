@@ -15,6 +15,7 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from sal_height.errors import UserError
+from sal_height.geometry.accuracy import is_finite_covariance
 from sal_height.numeric import F64
 
 
@@ -179,12 +180,10 @@ class Mounting:
 
 def _is_covariance(values: F64) -> bool:
     """True for 9 finite numbers of a symmetric, positive semidefinite matrix, but for rounding."""
-    if values.shape != (9,) or not np.all(np.isfinite(values)):
+    if values.shape != (9,):
         return False
     matrix = values.reshape(3, 3)
-    rounding = 1e-9 * float(np.abs(matrix).max())
-    symmetric = bool(np.abs(matrix - matrix.T).max() <= rounding)
-    return symmetric and float(np.linalg.eigvalsh(matrix)[0]) >= -rounding
+    return bool(np.allclose(matrix, matrix.T, rtol=1e-9, atol=0.0)) and is_finite_covariance(matrix)
 
 
 AT_BASE_LINK = Mounting()  # the sensor frame is base_link: no lever arm, no rotation

@@ -17,7 +17,7 @@ from sal_height.imaging.corrections import (
     StripDelay,
     correct_dwell,
     correct_track,
-    with_all_errors,
+    with_errors,
     with_known_errors,
 )
 from sal_height.imaging.focus import ImageSettings, Slc, cell_response, focus_dwell
@@ -62,7 +62,7 @@ __all__ = [
     "is_for_speckle",
     "line_of_sight",
     "stays_in_range_cell",
-    "with_all_errors",
+    "with_errors",
     "with_known_errors",
     "with_unknown_odometry",
 ]

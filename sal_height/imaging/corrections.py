@@ -15,9 +15,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from sal_height.geometry import ApertureState, Mounting, Trajectory
-from sal_height.imaging.air import StatedAir, air_effect, errors_of_air
+from sal_height.imaging.air import StatedAir, air_effect
 from sal_height.imaging.autofocus.gradient import apply_phase
-from sal_height.imaging.instrument import InstrumentError, InstrumentSettings, instrument_errors
+from sal_height.imaging.instrument import InstrumentSettings, instrument_errors
 from sal_height.numeric import F64
 from sal_height.sensor import PhaseHistory, Sensor
 from sal_height.settings import setting
@@ -129,31 +129,22 @@ def with_known_errors(
         settings: settings that state known errors.
     """
     errors = instrument_errors(aperture, sensor, settings, float(np.linalg.norm(middle - aperture.position)))
-    stated = [error for error in errors if not error.is_assumed]
-    return _with_errors(aperture, middle, stated, sensor, settings)
+    return with_errors(aperture, settings, (error.effects for error in errors if not error.is_assumed))
 
 
-def with_all_errors(
-    aperture: ApertureState, middle: F64, sensor: Sensor, settings: CorrectionSettings
-) -> ApertureState:
-    """The aperture as of `with_known_errors`, with those that are only assumed, too."""
-    errors = instrument_errors(aperture, sensor, settings, float(np.linalg.norm(middle - aperture.position)))
-    return _with_errors(aperture, middle, errors, sensor, settings)
+def with_errors(aperture: ApertureState, settings: CorrectionSettings, effects: Iterable[F64]) -> ApertureState:
+    """The aperture with errors in its covariance, and with that of the elevation offset.
 
-
-def _with_errors(
-    aperture: ApertureState,
-    middle: F64,
-    of_instrument: Iterable[InstrumentError],
-    sensor: Sensor,
-    settings: CorrectionSettings,
-) -> ApertureState:
+    Args:
+        aperture: aperture of the image.
+        settings: settings that state known errors.
+        effects: shift of the antenna (m) and turn of the body (rad) by one standard deviation of each, (errors, 6).
+    """
     by_elevation = np.hstack([np.zeros(3), settings.elevation_sigma_rad * aperture.forward])
-    of_air = errors_of_air(aperture, middle, sensor, settings)
-    effects = np.vstack([*(error.effects for error in of_instrument), by_elevation, of_air])
-    if not effects.any():
+    errors = np.vstack([*effects, by_elevation])
+    if not errors.any():
         return aperture
-    return replace(aperture, covariance=aperture.covariance + effects.T @ effects)
+    return replace(aperture, covariance=aperture.covariance + errors.T @ errors)
 
 
 def _turned(mounting: Mounting, angle: float) -> Mounting:

@@ -6,11 +6,11 @@ heights: it enters the covariance of the pose once the images are made.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from sal_height.doubts import Doubt
+from sal_height.doubts import Assumption, Unknown, doubts_of_assumed
 from sal_height.geometry import ASSUMED, ApertureState, antenna_covariance, rotation_matrix, shift_along
 from sal_height.imaging.corrections import Corrected
 from sal_height.imaging.focus import Slc
@@ -21,29 +21,19 @@ UNKNOWN_ODOMETRY = "odometry of unknown accuracy"
 """Name of the doubt."""
 
 
-@dataclass(frozen=True)
-class _Quantity:
-    """A quantity of odometry that has an accuracy.
-
-    Attributes:
-        name: name of the quantity.
-        assumed: assumed accuracy, with its unit.
-        parameter: name of the parameter of the compression that states it.
-        axes: place of its axes among those of `geometry.accuracy`.
-    """
-
-    name: str
-    assumed: str
-    parameter: str
-    axes: slice
-
+UNSTATED = Unknown(
+    "The odometry does not state how well it is known (a variance is zero, negative or NaN, or all axes have one "
+    "number that is no measurement)",
+    "in its covariances (0: unknown),",
+)
 
 _QUANTITIES = (
-    _Quantity("position", f"{ASSUMED.position_m:g} m", "odometry_position_sigma_m", slice(0, 3)),
-    _Quantity("roll and pitch", f"{ASSUMED.attitude_rad:g} rad", "odometry_attitude_sigma_rad", slice(3, 5)),
-    _Quantity("heading", f"{ASSUMED.heading_rad:g} rad", "odometry_heading_sigma_rad", slice(5, 6)),
-    _Quantity("velocity", f"{ASSUMED.velocity_mps:g} m/s", "odometry_velocity_sigma_mps", slice(6, 9)),
+    (slice(0, 3), Assumption(f"position {ASSUMED.position_m:g} m", "odometry_position_sigma_m")),
+    (slice(3, 5), Assumption(f"roll and pitch {ASSUMED.attitude_rad:g} rad", "odometry_attitude_sigma_rad")),
+    (slice(5, 6), Assumption(f"heading {ASSUMED.heading_rad:g} rad", "odometry_heading_sigma_rad")),
+    (slice(6, 9), Assumption(f"velocity {ASSUMED.velocity_mps:g} m/s", "odometry_velocity_sigma_mps")),
 )
+"""What is assumed of odometry, and the place of its axes among those of `geometry.accuracy`."""
 
 
 def with_unknown_odometry(slc: Slc, dwell: Corrected) -> Slc:
@@ -59,6 +49,7 @@ def with_unknown_odometry(slc: Slc, dwell: Corrected) -> Slc:
     variances = track.assumed(history.stamp_ns, history.pulse_times)
     if not variances.any():
         return slc
+    assumed = [what for axes, what in _QUANTITIES if variances[axes].any()]
     aperture, sight = slc.aperture, line_of_sight(sensor, slc.aperture)
     orientation = track.nearest(history.stamp_ns, history.pulse_times).orientation
     pose = antenna_covariance(np.diag(variances[:6]), orientation, sensor.mounting)
@@ -70,7 +61,7 @@ def with_unknown_odometry(slc: Slc, dwell: Corrected) -> Slc:
     return replace(
         slc,
         aperture=replace(aperture, covariance=aperture.covariance + pose),
-        doubts=(*slc.doubts, Doubt(UNKNOWN_ODOMETRY, _describe(variances))),
+        doubts=(*slc.doubts, *doubts_of_assumed(UNKNOWN_ODOMETRY, UNSTATED, assumed)),
     )
 
 
@@ -83,14 +74,3 @@ def _moved(speed: float, aperture: ApertureState, sight: F64, slant_range: float
     """Covariance of the position of images by an error of the velocity along the line of sight, m^2, shape (3, 3)."""
     along = speed * slant_range / np.linalg.norm(aperture.velocity) * shift_along(aperture, sight)
     return np.outer(along, along)
-
-
-def _describe(variances: F64) -> str:
-    unknown = [one for one in _QUANTITIES if variances[one.axes].any()]
-    names, parameters = (", ".join(getattr(one, name) for one in unknown) for name in ("name", "parameter"))
-    assumed = ", ".join(f"{one.name} {one.assumed}" for one in unknown)
-    return (
-        f"The covariances of the odometry do not state the accuracy of: {names} (a variance is zero, negative or NaN, "
-        f"or all axes have one number that is no measurement). These standard deviations are assumed: {assumed}. "
-        f"State them in the covariances, or by the parameters {parameters} of sar_compression; 0: exact."
-    )

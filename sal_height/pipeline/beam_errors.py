@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from math import log
 from typing import NamedTuple
 
 import numpy as np
 
 from sal_height.calibration import Calibration
-from sal_height.doubts import Assumption, Doubt, doubts_of_assumed
+from sal_height.doubts import UNKNOWN_SENSOR, Assumption, Doubt, doubts_of_assumed
 from sal_height.elevation import BEAM_PITCH, BEAM_WIDTH, CHANNEL_GAIN_DB, HeightSettings
-from sal_height.sensor import BeamErrors, Sensor, deviation_of
+from sal_height.sensor import NEPERS_PER_DB, BeamErrors, Sensor, deviation_of
 
 BEAMS = "beams of unknown accuracy"
 """Name of the doubt about what is assumed of beams and channels."""
@@ -38,8 +37,8 @@ def known_beams(sensor: Sensor, settings: HeightSettings, calibration: Calibrati
         settings: settings whose standard deviations replace those of the description.
         calibration: calibration of the sensor; None: none.
     """
-    described, nepers_per_db = sensor.uncertainty, log(10) / 20
-    in_db = None if described.channel_gain is None else described.channel_gain / nepers_per_db
+    described = sensor.uncertainty
+    in_db = None if described.channel_gain is None else described.channel_gain / NEPERS_PER_DB
     is_stated = sensor.beam_uncertainty > 0
     pitch = deviation_of(settings.beam_pitch_sigma, described.beam_pitch, BEAM_PITCH)
     width = deviation_of(settings.beam_width_sigma, described.beam_width, 0.0 if is_stated else BEAM_WIDTH)
@@ -63,5 +62,5 @@ def known_beams(sensor: Sensor, settings: HeightSettings, calibration: Calibrati
         )
         if counts
     ]
-    errors = BeamErrors(pitch.sigma, width.sigma, nepers_per_db * gain.sigma, described.channel_phase or 0.0)
-    return KnownBeams(errors, doubts_of_assumed(BEAMS, assumed))
+    errors = BeamErrors(pitch.sigma, width.sigma, NEPERS_PER_DB * gain.sigma, described.channel_phase or 0.0)
+    return KnownBeams(errors, doubts_of_assumed(BEAMS, UNKNOWN_SENSOR, assumed))

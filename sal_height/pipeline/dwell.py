@@ -48,7 +48,7 @@ from sal_height.pipeline.fit import DwellFit, fit_of
 from sal_height.pipeline.instrument import with_instrument
 from sal_height.pipeline.strip import StripBuffer
 from sal_height.relief import HeightField, height_field, joined_rows, level_turn
-from sal_height.sensor import PhaseHistory, Sensor, count_saturated, range_compressed
+from sal_height.sensor import BeamErrors, PhaseHistory, Sensor, count_saturated, range_compressed
 
 
 class Compressor:
@@ -156,9 +156,10 @@ def heights_of_dwells(
     calibration: Calibration | None = None,
 ) -> list[HeightField]:
     """`heights` of several dwells, the same as one by one, in less time; arguments and errors as of `elevations`."""
+    known = known_beams(sensor, settings, calibration)
     # 6  Channels that receive: of each row of pixels those that are neither dead nor blanked.
     parts = [
-        (number, rows, _observe(slc, sensor, estimator, settings, calibration, channels))
+        (number, rows, _observe(slc, sensor, estimator, settings, calibration, known.errors, channels))
         for number, slc in enumerate(slcs)
         for channels, rows in channel_sets(slc, sensor, settings.windows[0])
     ]
@@ -179,7 +180,10 @@ def heights_of_dwells(
     # Where receivers are blanked, the tests are those of the rows that most of the pixels are in.
     most = [max(of_dwell, key=lambda part: part[0])[1] for of_dwell in fits]
     joined = (joined_rows(of_dwell) for of_dwell in fields)
-    return [replace(field, fit=fit.tests, doubts=fit.doubts) for field, fit in zip(joined, most, strict=True)]
+    return [
+        replace(field, fit=fit.tests, doubts=(*known.doubts, *fit.doubts))
+        for field, fit in zip(joined, most, strict=True)
+    ]
 
 
 @one_blas_thread()
@@ -206,7 +210,8 @@ def elevations(
         UserError: looks that do not fit in the image, or noise powers that are not known.
     """
     channels = live_channels(slc.images, sensor) if channels_used is None else channels_used
-    seen = _observe(slc, sensor, estimator, settings, calibration, channels)
+    errors = known_beams(sensor, settings, calibration).errors
+    seen = _observe(slc, sensor, estimator, settings, calibration, errors, channels)
     (estimate,) = estimator.estimate_dwells([(seen.looks, seen.beams)], settings)
     return _judge(estimate, seen, settings), seen.looks, seen.grid, seen.beams
 
@@ -238,12 +243,12 @@ def _observe(
     estimator: ElevationEstimator,
     settings: HeightSettings,
     calibration: Calibration | None,
+    errors: BeamErrors,
     used: Index,
 ) -> _Observed:
-    """Observe a dwell by the channels of the numbers `used`; other arguments and errors as of `elevations`."""
+    """Observe a dwell by beams with `errors` and the channels of the numbers `used`; the others as of `elevations`."""
     images = slc.images if len(used) == len(slc.images) else slc.images[used]
     # 7  The channels that the estimator takes, of equal noise, or sum and difference; and their beams.
-    errors = known_beams(sensor, settings, calibration).errors
     channels, beams = channels_and_beams(slc, sensor, estimator, calibration, used, errors)
     # 8  The height pixels.
     grid = look_grid(slc.grid, *settings.windows)

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from sal_height.doubts import Assumption, doubts_of_assumed
-from sal_height.imaging import CorrectionSettings, Slc, instrument_errors, with_all_errors
+from sal_height.doubts import UNKNOWN_SENSOR, Assumption, doubts_of_assumed
+from sal_height.imaging import CorrectionSettings, Slc, errors_of_air, instrument_errors, with_errors
 from sal_height.sensor import Sensor
 
 INSTRUMENT = "instrument of unknown accuracy"
@@ -15,7 +15,7 @@ INSTRUMENT = "instrument of unknown accuracy"
 
 
 def with_instrument(slc: Slc, sensor: Sensor, settings: CorrectionSettings) -> Slc:
-    """The images with the errors of the instrument in the covariance of the pose, and with a doubt if some are assumed.
+    """The images with the errors of instrument and air in the covariance of the pose, and a doubt if some are assumed.
 
     Args:
         slc: images of all channels.
@@ -23,7 +23,9 @@ def with_instrument(slc: Slc, sensor: Sensor, settings: CorrectionSettings) -> S
         settings: settings that state the errors that corrections leave.
     """
     slant_range = float(np.linalg.norm(slc.grid.middle - slc.aperture.position))
-    errors = instrument_errors(slc.aperture, sensor, settings, slant_range)
+    errors = list(instrument_errors(slc.aperture, sensor, settings, slant_range))
     assumed = [Assumption(error.name, error.parameter) for error in errors if error.is_assumed]
-    aperture = with_all_errors(slc.aperture, slc.grid.middle, sensor, settings)
-    return replace(slc, aperture=aperture, doubts=(*slc.doubts, *doubts_of_assumed(INSTRUMENT, assumed)))
+    of_air = errors_of_air(slc.aperture, slc.grid.middle, sensor, settings)
+    aperture = with_errors(slc.aperture, settings, [*(error.effects for error in errors), of_air])
+    doubts = doubts_of_assumed(INSTRUMENT, UNKNOWN_SENSOR, assumed)
+    return replace(slc, aperture=aperture, doubts=(*slc.doubts, *doubts))

@@ -7,9 +7,13 @@ from dataclasses import dataclass, fields
 from typing import NamedTuple
 
 from sal_height.errors import UserError
+from sal_height.geometry import NOT_STATED
 
-AS_DESCRIBED = -1.0
+AS_DESCRIBED = NOT_STATED
 """Value of a parameter that states no standard deviation: the one that the sensor's description states counts."""
+
+NEPERS_PER_DB = math.log(10) / 20
+"""Change of ln |gain| by 1 dB."""
 
 
 @dataclass(frozen=True)

@@ -11,12 +11,9 @@ from annotated_types import Ge, Le
 
 from sal_height.configuration import Float, StrictKeys
 from sal_height.geometry import Mounting
-from sal_height.sensor import SensorUncertainty
+from sal_height.sensor import NEPERS_PER_DB, SensorUncertainty
 
 Deviation = Annotated[Float, Ge(0), Le(1)]
-
-NEPERS_PER_DB = math.log(10) / 20
-"""Change of ln |gain| by 1 dB."""
 
 
 @dataclass(frozen=True)

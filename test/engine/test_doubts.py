@@ -30,7 +30,7 @@ def test_heights_have_the_doubts_about_their_images() -> None:
     found = made([Compression(settings), ml], [settings, type(ml).settings()], items, "ml/height")
     heights: Heights = found[0]
     assert [doubt.name for doubt in heights.doubts] == ["odometry of unknown accuracy"]
-    assert "accuracy of: velocity (" in heights.doubts[0].sentence
+    assert "standard deviations of velocity 0.05 m/s." in heights.doubts[0].sentence
 
 
 def test_odometry_that_states_nothing_is_warned_of_in_every_dwell() -> None:
@@ -39,7 +39,7 @@ def test_odometry_that_states_nothing_is_warned_of_in_every_dwell() -> None:
     items = [accept(*item) for item in flight_items(flight, dwells=[0, 1])]
     warned = drive(Compression(CompressionSettings(rows=20, cols=8)), items)
     assert warned.warned() == {"odometry of unknown accuracy": 2}
-    assert warned.notices[0].sentence.startswith("Dwell 0: The covariances of the odometry do not state")
+    assert warned.notices[0].sentence.startswith("Dwell 0: The odometry does not state how well")
     assert drive(Compression(CompressionSettings(**SMALL)), items).warned() == {}
 
 

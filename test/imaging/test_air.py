@@ -17,7 +17,7 @@ from sal_height.imaging import (
     Slc,
     errors_of_air,
     line_of_sight,
-    with_known_errors,
+    with_errors,
 )
 from sal_height.numeric import F64
 from sal_height.pipeline import Compressor, heights
@@ -53,11 +53,11 @@ def errors_of(name: str, **air: object) -> F64:
     return errors_of_air(slc.aperture, slc.grid.middle, flown(name)[0].sensor, CorrectionSettings(**air))
 
 
-def with_errors(name: str, **air: object) -> Slc:
+def with_air(name: str, **air: object) -> Slc:
     """Images of a flight in vacuum, with the errors that such air would leave."""
     slc = compressed(name, air="none")
-    sensor, settings = flown(name)[0].sensor, CorrectionSettings(**air)
-    return replace(slc, aperture=with_known_errors(slc.aperture, slc.grid.middle, sensor, settings))
+    errors = errors_of_air(slc.aperture, slc.grid.middle, flown(name)[0].sensor, CorrectionSettings(**air))
+    return replace(slc, aperture=with_errors(slc.aperture, CorrectionSettings(), [errors]))
 
 
 def sight_of(slc: Slc) -> tuple[float, float]:
@@ -140,7 +140,7 @@ def test_a_measurement_leaves_less_than_the_standard_atmosphere() -> None:
     """Of height at least half, without the height of the map; vacuum leaves nothing."""
     measured = as_measured(STANDARD_ATMOSPHERE, HUMIDITY)
     left = [
-        height_field("xband_relief", with_errors("xband_relief", **air)).first.sigma
+        height_field("xband_relief", with_air("xband_relief", **air)).first.sigma
         for air in ({"air": "standard", "map_height_m": 1.0}, {**measured, "map_height_m": 1.0}, {"air": "none"})
     ]
     standard, known, none = (float(np.nanmedian(np.sqrt(sigma**2 - left[2] ** 2))) for sigma in left)

@@ -17,7 +17,7 @@ from sal_height.imaging import (
     Slc,
     correct_dwell,
     correct_track,
-    with_all_errors,
+    with_errors,
     with_known_errors,
 )
 from sal_height.imaging.pixels import line_of_sight
@@ -138,7 +138,7 @@ def test_without_corrections_nothing_is_touched() -> None:
     assert correct_track(track, none) is track
     assert correct_dwell(history, track, flight.sensor, none)[:3] == (history, track, flight.sensor)
     assert with_known_errors(aperture, np.zeros(3), flight.sensor, none) is aperture
-    assert with_all_errors(aperture, np.zeros(3), flight.sensor, none) is aperture
+    assert with_errors(aperture, none, [np.zeros((1, 6))]) is aperture
 
 
 def test_air_that_is_not_known_is_refused() -> None:

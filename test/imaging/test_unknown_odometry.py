@@ -127,9 +127,9 @@ def test_the_doubt_states_what_is_unknown_what_is_assumed_and_what_to_do() -> No
     assert np.isnan(doubt.size)
     assert "heading" not in doubt.sentence
     for part in (
-        "accuracy of: position, roll and pitch, velocity (",
-        "position 2 m, roll and pitch 0.002 rad, velocity 0.05 m/s.",
-        "odometry_position_sigma_m, odometry_attitude_sigma_rad, odometry_velocity_sigma_mps of sar_compression",
+        "The odometry does not state how well it is known (",
+        "position 2 m, roll and pitch 0.002 rad and velocity 0.05 m/s.",
+        "odometry_position_sigma_m, odometry_attitude_sigma_rad and odometry_velocity_sigma_mps",
     ):
         assert part in doubt.sentence
 

@@ -21,7 +21,7 @@ from sal_height.bag.reader import BagReader
 from sal_height.bag.topics import CALIBRATION_TYPE, FIX_TYPE, FRAME_TYPE, ODOMETRY_TYPE, SENSOR_TYPE
 from sal_height.bag.writer import BagWriter
 from sal_height.elevation import ESTIMATORS
-from sal_height.engine.adjuster import NOT_STATED
+from sal_height.engine.adjuster import SAYS_NOTHING
 from sal_height.engine.height_items import Heights
 from sal_height.engine.image_items import Images
 from sal_height.engine.stage import DwellKey, Loss, Product
@@ -82,7 +82,7 @@ def adjust_bag(
         check_estimator(estimator, sensor)
     scheme = plan(bag, given, (estimator,))
     compression = scheme.values.get(COMPRESSION, {})
-    stated = {name: compression[name] for name in KNOWN if compression.get(name) not in NOT_STATED}
+    stated = {name: compression[name] for name in KNOWN if compression.get(name) not in SAYS_NOTHING}
     settings = AdjustmentSettings(**{**stated, **wanted}).described(next(iter(sensors)))
     folder = new_folder(out)
     with reporting(folder, {"bag": bag.name, "settings": settings.model_dump()}) as report:

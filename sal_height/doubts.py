@@ -44,7 +44,12 @@ class Assumption(NamedTuple):
 
 
 class Unknown(NamedTuple):
-    """What nobody states, as in a message, and where it could be stated, but for parameters."""
+    """An accuracy that nobody states.
+
+    Attributes:
+        what: sentence on what is not stated, without its full stop.
+        where: places other than parameters where it could be stated.
+    """
 
     what: str
     where: str

@@ -90,7 +90,7 @@ def test_what_the_compression_warns_of_is_told_once_and_counted(tmp_path: Path) 
     _, warnings = find_in_bag(bag, tmp_path / "odometry", unknown)
     assert report_of(tmp_path / "odometry")["warned"] == {f"sar_compression: {kind}": 3}
     (said,) = [one for one in warnings if "odometry" in one]
-    assert said.startswith(f"There is a warning on 3 of 3 dwells (sar_compression: {kind}). Dwell 0: The covariances")
+    assert said.startswith(f"There is a warning on 3 of 3 dwells (sar_compression: {kind}). Dwell 0: The odometry")
     noisy = recorded(tmp_path / "noisy", "small", dwells=3, cnr_db=-25.0)
     _, warnings = find_in_bag(noisy, tmp_path / "autofocus", {"sar_compression": {"autofocus": "always"}})
     assert report_of(tmp_path / "autofocus")["warned"] == {"sar_compression: autofocus": 3}

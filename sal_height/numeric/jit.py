@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import hashlib
 import logging
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from functools import cache
+from pathlib import Path
 from typing import Any, TypeVar, cast
 
 from numba import njit
 from numba.core import event
+from numba.core.dispatcher import Dispatcher
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -54,8 +58,7 @@ def compiled(function: Function) -> Function:
     The compiled function releases the GIL. It may reorder sums and assumes that all numbers are finite. One simple loop
     per function gives the fastest code.
     """
-    PROGRESS.functions.add(function)
-    return cast("Function", njit(nogil=True, fastmath=True, error_model="numpy", cache=True)(function))
+    return _cached(function, fastmath=True)
 
 
 def compiled_with_nan(function: Function) -> Function:
@@ -64,13 +67,40 @@ def compiled_with_nan(function: Function) -> Function:
     Powers and np.hypot are forbidden in it (`squared` instead): numba makes one loop of these for all functions of a
     process, and if a `compiled` function was the first to need it, it assumes that all numbers are finite.
     """
-    PROGRESS.functions.add(function)
-    return cast("Function", njit(nogil=True, error_model="numpy", cache=True)(function))
+    return _cached(function, fastmath=False)
 
 
 def inlined(function: Function) -> Function:
     """Compile the function into the `compiled` functions that call it, which saves the cost of a call."""
     return cast("Function", njit(nogil=True, fastmath=True, error_model="numpy", inline="always")(function))
+
+
+def _cached(function: Function, *, fastmath: bool) -> Function:
+    """Compile the function, and compile it again when one of those that it calls has changed.
+
+    Numba itself asks only whether the file of the function has changed, although the code that it stores contains that
+    of the functions of other files, and their constants.
+    """
+    PROGRESS.functions.add(function)
+    loop: Any = njit(nogil=True, fastmath=fastmath, error_model="numpy", cache=True)(function)
+    loop._cache._cache_file._source_stamp = sorted(set(_sources(function, set())))  # noqa: SLF001 (no other way)
+    return cast("Function", loop)
+
+
+def _sources(function: Callable[..., Any], seen: set[Callable[..., Any]]) -> Iterator[str]:
+    """What the code of a function is made from: the files of it and of those that it calls, and their constants."""
+    seen.add(function)
+    yield _digest(function.__code__.co_filename)
+    for name, value in function.__globals__.items():
+        if isinstance(value, Dispatcher) and value.py_func not in seen:
+            yield from _sources(value.py_func, seen)
+        elif isinstance(value, int | float):
+            yield f"{name}={value}"
+
+
+@cache
+def _digest(file: str) -> str:
+    return hashlib.sha256(Path(file).read_bytes()).hexdigest()
 
 
 @inlined

@@ -5,6 +5,8 @@ from __future__ import annotations
 import ast
 import logging
 import math
+import subprocess
+import sys
 from functools import cache
 from pathlib import Path
 
@@ -64,6 +66,29 @@ def test_nan_stays_nan_beside_functions_without_it() -> None:
     assert finite_square(3.0) == 9.0
     assert finite_square(np.inf) == 0.0
     assert finite_square(np.nan) == 0.0
+
+
+@pytest.mark.parametrize(
+    "change", ["def twice(x):\n    return x + x + 1.0\n", "def twice(x):\n    return x + x\nADDED = 4.0\n"]
+)
+def test_a_function_is_compiled_again_when_one_of_another_file_has_changed(change: str, tmp_path: Path) -> None:
+    """Or when a constant has."""
+    of_others, own = tmp_path / "of_others.py", tmp_path / "own.py"
+    head = "from sal_height.numeric.jit import compiled, inlined\n"
+    between = tmp_path / "between.py"
+    between.write_text(f"{head}from of_others import twice\n@compiled\ndef thrice(x):\n    return twice(x) + x\n")
+    own.write_text(
+        f"{head}from between import thrice\nfrom of_others import ADDED\n"
+        "@compiled\ndef result(x):\n    return thrice(x) + ADDED\n"
+        "print(result(2.0), sum(result.stats.cache_hits.values()))\n"
+    )
+    said = []
+    for text in ("def twice(x):\n    return x + x\n", "", change):
+        if text:
+            of_others.write_text(f"{head}ADDED = 3.0\n@inlined\n{text}")
+        ended = subprocess.run([sys.executable, own], check=True, capture_output=True, text=True)  # noqa: S603 (ours)
+        said.append(ended.stdout)
+    assert said == ["9.0 0\n", "9.0 1\n", "10.0 0\n"]
 
 
 @jit.compiled

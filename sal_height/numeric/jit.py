@@ -88,7 +88,7 @@ def _cached(function: Function, *, fastmath: bool) -> Function:
 
 
 def _sources(function: Callable[..., Any], seen: set[Callable[..., Any]]) -> Iterator[str]:
-    """What the code of a function is made from: the files of it and of those that it calls, and their constants."""
+    """Sources of the code of a function: the files of it and of those that it calls, and their constants."""
     seen.add(function)
     yield _digest(function.__code__.co_filename)
     for name, value in function.__globals__.items():

@@ -181,6 +181,10 @@ def _leaves() -> Iterator[Case]:
     for wind in (0, *WINDS):
         yield Case(f"grass, lidar, wind {wind} m/s", _in_wind(lidar, wind), FEW, partial(same, scene=grass))
         yield Case(f"grassy street, lidar, wind {wind} m/s", _in_wind(lidar, wind), FEW)
+        if wind:
+            stated = {"ml_height": {"radial_velocity_sigma_mps": WINDS[wind]}}
+            preset = replace(_in_wind(lidar, wind), processing=stated)
+            yield Case(f"grassy street, lidar, wind {wind} m/s, stated", preset, FEW)
         yield Case(f"ground under woods, radar, wind {wind} m/s", _in_wind(ground, wind), FEW)
         yield Case(f"woods over relief, radar, wind {wind} m/s", _in_wind(far, wind), FEW)
 
@@ -263,8 +267,9 @@ def flown(seed: int, preset: Preset, autofocus: str, scene: Callable[[int], Scen
 def _compared(slc: Slc, flight: SimulatedFlight, dwell: int, settings: ImageSettings) -> SurfaceComparison:
     """Heights of an image beside the truth."""
     preset, sensor = flight.preset, flight.sensor
-    estimator = ESTIMATORS[next(iter(preset.estimators), "ml")]
-    chosen = estimator.settings(range_looks=preset.looks[0], azimuth_looks=preset.looks[1])
+    name = next(iter(preset.estimators), "ml")
+    estimator, parameters = ESTIMATORS[name], preset.processing.get(f"{name}_height", {})
+    chosen = estimator.settings(**{"range_looks": preset.looks[0], "azimuth_looks": preset.looks[1], **parameters})
     field = heights(slc, sensor, estimator, chosen)
     seen, aperture = as_flown(field, slc.aperture, flight, dwell)
     beams = image_beams(sensor, settings.azimuth_window)

@@ -170,8 +170,17 @@ def heights_of_dwells(
     for (number, rows, seen), estimate in zip(parts, estimates, strict=True):
         judged, grid, aperture = _judge(estimate, seen, settings), slcs[number].grid, slcs[number].aperture
         # 15  Range, Doppler and elevation give the position on the ground.
-        side, velocity = sensor.look_side, settings.radial_velocity_mps
-        field = height_field(judged, seen.looks, grid, seen.grid, aperture, side, velocity, seen.beams)
+        field = height_field(
+            judged,
+            seen.looks,
+            grid,
+            seen.grid,
+            aperture,
+            sensor.look_side,
+            settings.radial_velocity_mps,
+            seen.beams,
+            settings.radial_velocity_sigma_mps,
+        )
         fields[number].append((rows, field))
         # 16  Tests of the data, where a single scatterer was fitted; clipped samples do not fit anything.
         residue = None if seen.saturated_share > settings.max_saturated_fraction else estimate.residue

@@ -220,6 +220,7 @@ def height_field(
     look_side: int,
     radial_velocity: float = 0.0,
     beams: Beams | None = None,
+    radial_velocity_sigma: float = 0.0,
 ) -> HeightField:
     """Compute height, its standard deviation and the ground position of every pixel.
 
@@ -241,16 +242,19 @@ def height_field(
         radial_velocity: velocity v_r of the targets, positive if they recede, m/s. It displaces them in the image by
             -range v_r / speed along-track (SAL paper, section 4), which is corrected.
         beams: beams whose uncertainty is in the estimate's sigmas, and becomes common; None: they are known.
+        radial_velocity_sigma: standard deviation of that velocity, m/s, another in each pixel.
     """
     points = slc_grid.points(looks.row, looks.col)
     aperture = aperture_at(points, aperture)
     sight = points - aperture.position
     slant_range = np.sqrt(np.einsum("...i,...i", sight, sight))
-    along = sight @ aperture.direction + slant_range * radial_velocity / np.linalg.norm(aperture.velocity)
+    displacement = slant_range / np.linalg.norm(aperture.velocity)  # m along the flight for 1 m/s along the sight
+    along = sight @ aperture.direction + displacement * radial_velocity
     # The centre of the speckle is somewhere in its cell, in each look at another position.
     depth = slc_grid.row_spacing * np.abs(sight @ slc_grid.row_direction) / slant_range
     width = slc_grid.col_spacing * np.abs(slc_grid.col_direction @ aperture.direction)
-    range_sigma, along_sigma = depth * np.sqrt(looks.row_variance), width * np.sqrt(looks.col_variance)
+    range_sigma = depth * np.sqrt(looks.row_variance)
+    along_sigma = np.hypot(width * np.sqrt(looks.col_variance), displacement * radial_velocity_sigma)
 
     # All scatterers of the pixels at once, shape (scatterers, rows, cols).
     elevation, sigma, cnr, spread = (

@@ -7,7 +7,7 @@ means two surfaces.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from scipy.ndimage import maximum_filter
@@ -52,6 +52,10 @@ class LitSurfaces:
     received: F64
     inside: Bool
     rise: F64
+
+    def columns(self, first: int, count: int) -> LitSurfaces:
+        """Those of some columns of pixels."""
+        return LitSurfaces(*(getattr(self, one.name)[..., first : first + count] for one in fields(self)))
 
     @property
     def counted(self) -> Bool:

@@ -95,6 +95,24 @@ def test_moving_targets_get_the_place_and_height_that_they_really_have(sliding: 
     np.testing.assert_allclose((ignored.first.positions - targets)[..., 0], -slant_range * radial / speed, rtol=1e-3)
 
 
+def test_an_unknown_velocity_makes_the_place_along_the_flight_uncertain_and_nothing_else() -> None:
+    """1 m/s along the sight moves an image by range over speed, each scatterer by another velocity."""
+    aperture = make_aperture(velocity=(50.0, 0.0, 0.0))
+    grid = slant_grid(aperture)
+    rows, cols = np.full((2, 1, 3), 9.5)
+    looks, coarse = looks_at(rows, cols), look_grid(grid, *blocks(10, 5))
+    estimate = estimate_of(np.full((1, 3), np.pi / 4), 1e-5)
+    known, moving = (
+        height_field(estimate, looks, grid, coarse, aperture, 1, radial_velocity_sigma=sigma).first
+        for sigma in (0.0, 0.02)
+    )
+    np.testing.assert_array_equal(moving.positions, known.positions)
+    np.testing.assert_allclose(moving.sigma, known.sigma, rtol=1e-6)
+    slant_range = np.linalg.norm(known.positions - aperture.position, axis=-1)
+    along = (moving.own_covariance - known.own_covariance)[..., 0, 0]
+    np.testing.assert_allclose(along, (slant_range * 0.02 / 50.0) ** 2, rtol=1e-3)
+
+
 def test_sigma_of_height_is_that_of_elevation_across_the_sight_and_that_of_range_along_it() -> None:
     """On the sphere dh/dtheta = (R + H) rho sin(theta) / r and dh/drho = (rho - (R + H) cos(theta)) / r.
 

@@ -85,6 +85,14 @@ class HeightSettings(Settings):
         minimum=-1000.0,
         maximum=1000.0,
     )
+    radial_velocity_sigma_mps: float = setting(
+        0.0,
+        "standard deviation of the radial velocity of what is seen, such as leaves in the wind; it makes the place "
+        "along the flight uncertain, by range over the platform's speed times as much",
+        unit="m/s",
+        minimum=0.0,
+        maximum=1000.0,
+    )
     max_saturated_fraction: float = setting(
         MAX_SHARE,
         "highest fraction of clipped samples in a channel; above it, all heights of the dwell are marked SATURATED",

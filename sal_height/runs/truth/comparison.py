@@ -106,11 +106,16 @@ def joined_comparisons(parts: Sequence[SurfaceComparison]) -> SurfaceComparison:
 def compare(field: HeightField, truth: LitSurfaces, beamwidth: float) -> SurfaceComparison:
     """Compare every surface that a height image publishes with the lit surfaces of its pixels.
 
+    Where their places along the flight are uncertain by more than a pixel, as of leaves in the wind, the surfaces of
+    all pixels of the row within `reach_along` count.
+
     Args:
         field: height image of shape (rows, cols).
-        truth: lit surfaces of its pixels.
+        truth: lit surfaces of its pixels, and of as many columns on both sides of them as are within reach.
         beamwidth: beamwidth of the detectors, rad.
     """
+    reach = (truth.rise.shape[2] - field.grid.cols) // 2
+    rows, truth = truth, truth.columns(reach, field.grid.cols)
     order, shadow = true_order(truth, beamwidth), truth.shadow
     # An extended surface has one option, the mean; it uses up all surfaces of the pixel.
     whole = (field.validity == Validity.EXTENDED) & np.isfinite(truth.height[0])
@@ -118,10 +123,16 @@ def compare(field: HeightField, truth: LitSurfaces, beamwidth: float) -> Surface
     heights[0] = np.where(whole, truth.mean_height, heights[0])
     candidates, rises, free = _candidates(heights), _candidates(truth.rise), heights
     along, parts = field.grid.col_direction, []
+    if reach:
+        shadow = np.broadcast_to(rows.shadow.all(axis=1, keepdims=True), shadow.shape)
     for surface in field.surfaces:
         there = np.isfinite(surface.height)
         index, nearest = _nearest(candidates, surface.height)
         rise = np.take_along_axis(rises, index, axis=0)[0]
+        own = _nearest(free, surface.height)[1]
+        if reach:
+            nearest, rise = _nearest_in_row(rows, surface.height)
+            own = nearest
         by_place = np.nan_to_num(rise**2 * (along @ surface.covariance @ along))
         parts.append(
             PublishedErrors(
@@ -129,7 +140,7 @@ def compare(field: HeightField, truth: LitSurfaces, beamwidth: float) -> Surface
                 validity=field.validity[there],
                 sigma=np.sqrt(surface.sigma**2 + by_place)[there],
                 nearest=nearest[there],
-                own=_nearest(free, surface.height)[1][there],
+                own=own[there],
                 ghost=shadow[there],
             )
         )
@@ -164,6 +175,27 @@ def _confusion(order: I64, validity: U8) -> I64:
     found = np.array([_FOUND.get(value, _REFUSED) for value in Validity])[validity]
     shape = len(TRUE_ORDERS), len(FOUND_ORDERS)
     return np.bincount(order * shape[1] + found, minlength=shape[0] * shape[1]).reshape(shape).astype(np.int64)
+
+
+def reach_along(field: HeightField) -> int:
+    """Pixels along the row by which a place may be off: three standard deviations, without errors that all share."""
+    along = field.grid.col_direction
+    variance = [(along @ surface.own_covariance @ along)[np.isfinite(surface.height)] for surface in field.surfaces]
+    return int(3 * np.sqrt(np.concatenate(variance).max(initial=0.0)) / field.grid.col_spacing)
+
+
+def _nearest_in_row(rows: LitSurfaces, height: F64) -> tuple[F64, F64]:
+    """Height minus that of the nearest surface within reach in the row, m, and the rise there; NaN without any."""
+    error, rise = np.full((2, *height.shape), np.nan)
+    reach = (rows.height.shape[2] - height.shape[1]) // 2
+    for row, published in enumerate(height):
+        col, number = np.nonzero(np.isfinite(rows.height[:, row]).T)
+        away = np.abs(col - reach - np.arange(len(published))[:, None])
+        errors = np.where(away <= reach, published[:, None] - rows.height[number, row, col], np.inf)
+        if len(col):
+            there, nearest = np.arange(len(published)), np.argmin(np.abs(errors), axis=1)
+            error[row], rise[row] = errors[there, nearest], rows.rise[number, row, col][nearest]
+    return np.where(np.isinf(error), np.nan, error), rise
 
 
 def _candidates(heights: F64) -> F64:

@@ -28,6 +28,7 @@ from sal_height.runs.truth.comparison import (
     SurfaceComparison,
     compare,
     joined_comparisons,
+    reach_along,
 )
 from sal_height.simulation import SimulatedFlight, VisibleSurface
 from sal_height.simulation.lit_surfaces import CONNECTED, GroundCells, LitSurfaces, ground_cells, lit_surfaces
@@ -119,11 +120,16 @@ def as_flown(
 def true_surfaces(
     field: HeightField, aperture: ApertureState, beams: Beams, flight: SimulatedFlight, surface: VisibleSurface
 ) -> LitSurfaces:
-    """The lit surfaces of the pixels of a height image."""
+    """The lit surfaces of the pixels of a height image, and of those beside it along the flight within reach."""
+    grid = field.grid
+    farthest = int(np.ptp(surface.positions @ grid.col_direction) / grid.col_spacing)
+    reach = min(reach_along(field), farthest)
+    wide = replace(grid, origin=grid.points(0, -reach), cols=grid.cols + 2 * reach)
+    seen = np.pad(field.first.positions, ((0, 0), (reach, reach), (0, 0)), constant_values=np.nan)
     sensor = flight.sensor
     connected = max(CONNECTED, 1.5 * flight.scene.layer_spacing / height_beamwidth(flight))
     cell = sensor.range_resolution, azimuth_resolution(sensor, aperture, flight.preset.flight.slant_range_m)
-    return lit_surfaces(surface, aperture, field.grid, cell, beams, connected, field.first.positions)
+    return lit_surfaces(surface, aperture, wide, cell, beams, connected, seen)
 
 
 def judged(images: Sequence[HeightImage], flight: SimulatedFlight, surfaces: Mapping[int, VisibleSurface]) -> Judged:

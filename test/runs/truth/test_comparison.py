@@ -100,3 +100,15 @@ def test_error_of_place_counts_by_the_rise_of_the_ground_along_the_flight() -> N
     place = none + np.diag([0.2**2, 0.0, 0.0])
     field = replace(field, surfaces=(replace(field.first, own_covariance=none, common_covariance=place),))
     np.testing.assert_allclose(compare(field, truth, BEAMWIDTH).errors.sigma, [np.hypot(0.1, 0.1), 0.1])
+
+
+def test_what_may_be_elsewhere_in_its_row_is_compared_with_what_is_lit_there() -> None:
+    """Two columns more on both sides: only the surface of the seventh is 2 m high, and the last pixel reaches it."""
+    field = field_of([Validity.OK] * 3, [2.0, 2.5, 1.9])
+    numbers = (values[:, :3] for values in vars(field.first).values() if values is not None)
+    grid, validity = replace(field.grid, cols=3), field.validity[:, :3]
+    field = HeightField(grid, validity, (Surface(*numbers),))
+    truth = truth_of((0.0,), (0.0,), (0.0,), (0.0,), (0.0,), (0.0,), (2.0,)).columns(0, 7)
+    result = compare(field, truth, BEAMWIDTH)
+    np.testing.assert_allclose(result.errors.nearest, [2.0, 2.5, -0.1])
+    assert not result.errors.ghost.any()

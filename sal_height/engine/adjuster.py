@@ -42,7 +42,7 @@ from sal_height.engine.kept import RecentValues
 from sal_height.engine.mapper import ADJUSTED as PREFIX
 from sal_height.engine.settings import DwellSettings, FrameSettings
 from sal_height.engine.stage import DwellKey, Event, FileInput, Job, Notice, Port, Product, Result
-from sal_height.engine.track import Arrival, OdometryHistory, accuracy_stated, without_delay
+from sal_height.engine.track import Arrival, OdometryHistory, accuracy_stated, motion_stated, without_delay
 from sal_height.errors import Rejected, UserError
 from sal_height.geometry import (
     ApertureState,
@@ -207,7 +207,9 @@ class FlightAdjuster:
                 f"Dwell {heights.key.number} is {late_s:.3g} s older than one before it; dwells must be in order.",
             )
         self._latest_ns = stamp_ns
-        track = Trajectory(states, accuracy=accuracy_stated(stage).with_assumed)
+        track = Trajectory(
+            states, motion=motion_stated(stage).with_assumed, accuracy=accuracy_stated(stage).with_assumed
+        )
         pulses = PulseTrack(track, stamp_ns, np.array([0.0, length_s(heights, sensor)]), self._epoch_ns)
         dwell = _observed(heights, pulses, sensor)
         try:

@@ -15,8 +15,11 @@ import numpy as np
 
 from sal_height.engine.stage import FOREVER_NS
 from sal_height.geometry import (
+    ASSUMED_ACCELERATION,
+    ASSUMED_TURNING,
     NOT_STATED,
     REORDERED_NS,
+    STEADY,
     Motion,
     OdometryAccuracy,
     PlatformState,
@@ -53,24 +56,26 @@ class OdometrySettings(Settings):
     )
     odometry_interval_s: float = setting(
         0.05,
-        "longest time between two odometry samples that is no gap; in a gap the covariance of the pose grows by what "
-        "the platform may have done meanwhile",
+        "longest time between two odometry samples that is no gap; in a gap the covariances of pose and velocity grow "
+        "by what the platform may have done meanwhile",
         unit="s",
         minimum=1e-6,
         maximum=3600.0,
     )
     acceleration_noise: float = setting(
-        0.1,
-        "acceleration that odometry does not show, for gaps",
+        NOT_STATED,
+        f"acceleration that odometry does not show, for gaps; -1: not known, {ASSUMED_ACCELERATION:g} or what "
+        "positions and velocities of the samples show is assumed, and the heights are doubted",
         unit="m/s^2/sqrt(Hz)",
-        minimum=0.0,
+        minimum=NOT_STATED,
         maximum=1000.0,
     )
     turning_noise: float = setting(
-        0.01,
-        "angular acceleration that odometry does not show, for gaps",
+        NOT_STATED,
+        f"angular acceleration that odometry does not show, for gaps; -1: not known, {ASSUMED_TURNING:g} is assumed, "
+        "and the heights are doubted",
         unit="rad/s^2/sqrt(Hz)",
-        minimum=0.0,
+        minimum=NOT_STATED,
         maximum=1000.0,
     )
     odometry_position_sigma_m: float = setting(
@@ -118,6 +123,15 @@ def accuracy_stated(values: Mapping[str, Any]) -> OdometryAccuracy:
     """
     found = {number: values.get(name, 0.0) for name, number in ACCURACY.items()}
     return OdometryAccuracy(**{n: float(value) for n, value in found.items() if isinstance(value, int | float)})
+
+
+def motion_stated(values: Mapping[str, Any]) -> Motion:
+    """Motion in gaps of the odometry, by the values of the compression in a provenance; without them there are none."""
+    found = [values.get(name) for name in ("acceleration_noise", "turning_noise", "odometry_interval_s")]
+    acceleration, turning, interval_s = (value if isinstance(value, int | float) else None for value in found)
+    if acceleration is None or turning is None or interval_s is None:
+        return STEADY
+    return Motion(float(acceleration), float(turning), float(interval_s))
 
 
 class Arrival(Enum):

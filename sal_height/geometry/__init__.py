@@ -24,7 +24,14 @@ from sal_height.geometry.frames import (
 )
 from sal_height.geometry.geodesy import BODY_AXES, MAP_AXES, ROS_AXES, Axes, Origin
 from sal_height.geometry.grid import Grid, pixels_at, ranges_of_phase, without_range_phase
-from sal_height.geometry.motion import Motion, quaternion_of, rotation_matrix
+from sal_height.geometry.motion import (
+    ASSUMED_ACCELERATION,
+    ASSUMED_TURNING,
+    STEADY,
+    Motion,
+    quaternion_of,
+    rotation_matrix,
+)
 from sal_height.geometry.navigation import REORDERED_NS, Navigation, Sample
 from sal_height.geometry.projection import UTM, WGS_84, Projection, find_system
 from sal_height.geometry.refraction import (
@@ -50,6 +57,8 @@ from sal_height.geometry.trajectory import (
 
 __all__ = [
     "ASSUMED",
+    "ASSUMED_ACCELERATION",
+    "ASSUMED_TURNING",
     "AT_BASE_LINK",
     "BODY_AXES",
     "EARTH_RADIUS",
@@ -61,6 +70,7 @@ __all__ = [
     "REORDERED_NS",
     "ROS_AXES",
     "STANDARD_ATMOSPHERE",
+    "STEADY",
     "TEMPERATURES_K",
     "TOP_M",
     "UTM",

@@ -8,7 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sal_height.geometry.accuracy import AXES
 from sal_height.numeric import F64
+
+ASSUMED_ACCELERATION, ASSUMED_TURNING = 0.1, 0.01
+"""Densities that are assumed of a platform in gusts, m/s^2/sqrt(Hz) and rad/s^2/sqrt(Hz)."""
 
 
 def rotation_matrix(quaternion: Sequence[float] | F64) -> F64:
@@ -57,8 +61,8 @@ class Motion:
     """Accelerations of a platform that its odometry does not show: white noise, without a preferred direction.
 
     Attributes:
-        acceleration: density of the acceleration of the position, m/s^2/sqrt(Hz).
-        turning: density of the angular acceleration of the attitude, rad/s^2/sqrt(Hz).
+        acceleration: density of the acceleration of the position, m/s^2/sqrt(Hz); NOT_STATED: not known.
+        turning: density of the angular acceleration of the attitude, rad/s^2/sqrt(Hz); NOT_STATED: not known.
         interval_s: longest time between two samples that is not a gap, s.
     """
 
@@ -66,13 +70,20 @@ class Motion:
     turning: float
     interval_s: float
 
-    def covariance(self, since_s: float, until_s: float) -> F64:
-        """Covariance of the pose inside a gap, in addition to that of the samples around it, shape (6, 6).
+    @property
+    def with_assumed(self) -> Motion:
+        """The motion that counts what is assumed as stated."""
+        acceleration = ASSUMED_ACCELERATION if self.acceleration < 0 else self.acceleration
+        return Motion(acceleration, ASSUMED_TURNING if self.turning < 0 else self.turning, self.interval_s)
+
+    def variances(self, since_s: float, until_s: float) -> F64:
+        """Variances of pose and velocity inside a gap, in addition to those of the samples around it, shape (AXES,).
 
         With position and velocity known at both ends, the position deviates from the cubic by a variance of
-        q a^3 b^3 / (3 T^3) in each direction; with only the attitude known, it deviates from the shortest turn by one
-        of q a^2 b^2 / (3 T). These follow from the Green's functions of a beam that is clamped, and of one that is
-        supported, at its ends. It is 0 without a gap.
+        q a^3 b^3 / (3 T^3) in each direction, and the velocity by one of q a b (1 - 3 a b / T^2) / T; with only the
+        attitude known, it deviates from the shortest turn by one of q a^2 b^2 / (3 T). These follow from the Green's
+        functions of a beam that is clamped, and of one that is supported, at its ends. They are 0 without a gap, and of
+        what is not known.
 
         Args:
             since_s: time a since the sample before, s.
@@ -80,10 +91,12 @@ class Motion:
         """
         whole_s = since_s + until_s
         if whole_s <= self.interval_s:
-            return np.zeros((6, 6))
-        position = self.acceleration**2 * (since_s * until_s / whole_s) ** 3 / 3
-        attitude = self.turning**2 * (since_s * until_s) ** 2 / (3 * whole_s)
-        return np.diag([position] * 3 + [attitude] * 3)
+            return np.zeros(AXES)
+        acceleration, turning, both = max(self.acceleration, 0.0) ** 2, max(self.turning, 0.0) ** 2, since_s * until_s
+        position = acceleration * (both / whole_s) ** 3 / 3
+        velocity = acceleration * both * (1 - 3 * both / whole_s**2) / whole_s
+        attitude = turning * both**2 / (3 * whole_s)
+        return np.repeat([position, attitude, velocity], 3)
 
 
 STEADY = Motion(0.0, 0.0, float("inf"))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bisect
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -229,16 +229,17 @@ class Trajectory:
         return position if self.mounting.is_identity else position + self._turning(t).apply(self.mounting.lever_arm)
 
     def velocity_covariance(self, stamp_ns: int, pulse_times: F64) -> F64:
-        """Covariance of the velocity ((m/s)^2, map axes, (3, 3)) at the sample nearest to the middle of the pulses.
+        """Covariance of the velocity ((m/s)^2, map axes, (3, 3)) in the middle of the pulses.
 
-        It is the stated one; zeros where nobody states any.
+        It is the stated one of the nearest sample plus that of a gap around it; zeros where nobody states any.
 
         Raises:
             UserError: a time lies outside the track.
         """
         nearest = self.nearest(stamp_ns, pulse_times)
         attitude = rotation_matrix(nearest.orientation)
-        return attitude @ self._stated(nearest)[1] @ attitude.T
+        in_gap = self._in_gap(self._middle(self._offsets(stamp_ns, pulse_times)))[6:]
+        return attitude @ self._stated(nearest)[1] @ attitude.T + np.diag(in_gap)
 
     def assumed(self, stamp_ns: int, pulse_times: F64) -> F64:
         """Variances that are assumed in addition to the stated ones, because nobody states them, shape (AXES,).
@@ -248,10 +249,29 @@ class Trajectory:
         Raises:
             UserError: a time lies outside the track.
         """
-        t, sigmas = self._offsets(stamp_ns, pulse_times), self.accuracy.assumed
-        nearest = {self._nearest(one) for one in (float(t[0]), self._middle(t), float(t[-1]))}
-        states = [self.states[index] for index in nearest]
+        sigmas = self.accuracy.assumed
+        states = [self.states[index] for index in {self._nearest(one) for one in self._three(stamp_ns, pulse_times)}]
         return np.max([shortfall(one.covariance, one.velocity_covariance, sigmas) for one in states], axis=0)
+
+    def assumed_in_gaps(self, stamp_ns: int, pulse_times: F64) -> F64:
+        """Variances that are assumed of the motion between samples, in addition to what these show, shape (AXES,).
+
+        They are the greatest of the first, the middle and the last pulse.
+
+        Raises:
+            UserError: a time lies outside the track.
+        """
+        seconds = self._three(stamp_ns, pulse_times)
+        return np.max([self._in_gap(one, self.motion.with_assumed) - self._in_gap(one) for one in seconds], axis=0)
+
+    def gap_s(self, stamp_ns: int, pulse_times: F64) -> float:
+        """Longest time between the samples around the first, the middle and the last pulse, s.
+
+        Raises:
+            UserError: a time lies outside the track.
+        """
+        first = [self._around(one)[0] for one in self._three(stamp_ns, pulse_times)]
+        return max(float(self._seconds[index + 1] - self._seconds[index]) for index in first)
 
     def nearest(self, stamp_ns: int, pulse_times: F64) -> PlatformState:
         """The sample nearest to the middle of the pulses at `stamp_ns` + `pulse_times` (s, increasing).
@@ -264,8 +284,8 @@ class Trajectory:
     def aperture(self, stamp_ns: int, pulse_times: F64) -> ApertureState:
         """Return the state in the middle of the pulses at `stamp_ns` + `pulse_times` (s, increasing).
 
-        Its covariance is the stated one of the nearest sample plus that of a gap around it; zeros where nobody states
-        any.
+        Its covariance is the stated one of the nearest sample plus that of a gap around it, by the accelerations that
+        are stated or that samples show; zeros where nobody states any.
 
         Raises:
             UserError: a time lies outside the track, or the platform stands still.
@@ -276,8 +296,6 @@ class Trajectory:
         speed = float(np.linalg.norm(velocity))
         if not speed > 0:
             raise UserError("The odometry's velocity is 0 in the aperture; a synthetic aperture needs motion.")
-        first, _ = self._around(middle)
-        since_s, until_s = middle - self._seconds[first], self._seconds[first + 1] - middle
         nearest = self.states[self._nearest(middle)]
         return ApertureState(
             position=position,
@@ -285,7 +303,7 @@ class Trajectory:
             rotation=self._attitude(middle),
             length=speed * float(t[-1] - t[0]) * len(t) / (len(t) - 1),
             covariance=antenna_covariance(
-                self._stated(nearest)[0] + self.motion.covariance(since_s, until_s),
+                self._stated(nearest)[0] + np.diag(self._in_gap(middle)[:6]),
                 nearest.orientation,
                 self.mounting,
             ),
@@ -296,6 +314,26 @@ class Trajectory:
         more = shortfall(state.covariance, state.velocity_covariance, self.accuracy.stated)
         pose, velocity = known_pose(state.covariance), known_velocity(state.velocity_covariance)
         return pose + np.diag(more[:6]), velocity + np.diag(more[6:])
+
+    def _in_gap(self, t: float, motion: Motion | None = None) -> F64:
+        """Variances of pose and velocity between two samples at a time in s after the epoch, shape (AXES,).
+
+        Args:
+            t: time, s.
+            motion: motion in gaps; None: that of the track. If the track does not state its acceleration, at least the
+                one that the two samples show counts.
+        """
+        first, _ = self._around(t)
+        known, since_s, until_s = motion or self.motion, t - self._seconds[first], self._seconds[first + 1] - t
+        if self.motion.acceleration < 0:
+            shown = shown_acceleration(*self.states[first : first + 2])
+            known = replace(known, acceleration=max(known.acceleration, shown))
+        return known.variances(since_s, until_s)
+
+    def _three(self, stamp_ns: int, pulse_times: F64) -> tuple[float, float, float]:
+        """Times of the first, the middle and the last pulse in s after the epoch."""
+        t = self._offsets(stamp_ns, pulse_times)
+        return float(t[0]), self._middle(t), float(t[-1])
 
     def _middle(self, t: F64) -> float:
         """The middle of times in s after the epoch."""
@@ -325,6 +363,21 @@ class Trajectory:
         turning, arm = self._turning(t), self.mounting.lever_arm
         swept = np.cross(self._turning(t, 1), arm)  # angular velocity x arm, both in the axes of base_link
         return position + turning.apply(arm), velocity + turning.apply(swept)
+
+
+def shown_acceleration(before: PlatformState, after: PlatformState) -> float:
+    """Density of white acceleration by which the positions of two samples contradict their velocities.
+
+    It gives their distance from the mean velocity over the time T between them the variance q T^3 / 12 in each
+    direction. Errors of position or velocity show, too. With three components it is a rough estimate: their sum
+    stands for each of them, so that it is seldom too small by much.
+
+    Returns:
+        The density, m/s^2/sqrt(Hz).
+    """
+    seconds = (after.stamp_ns - before.stamp_ns) * 1e-9
+    off = after.position - before.position - seconds * (before.velocity + after.velocity) / 2
+    return float(np.linalg.norm(off) * np.sqrt(12 / seconds**3))
 
 
 def antenna_covariance(covariance: F64, orientation: F64, mounting: Mounting) -> F64:

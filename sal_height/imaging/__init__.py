@@ -2,9 +2,9 @@
 
 Read `focus` and `strip_focus` first (`focus_dwell`, `StripFocuser`: the whole of it), then `pixels` (image grids,
 their noise, windows, and beams in strip images), `corrections` (known errors), `air` (delay and bend), `instrument`
-(errors that the sensor's description leaves), `unknown_odometry` (assumed ones of odometry), `checks` (dwells that
-alias are refused), `formers` (backprojection and the fast ones), `autofocus` (phase errors common to all detectors)
-and `strip` (blocks that join).
+(errors that the sensor's description leaves), `unknown_odometry` (assumed ones of odometry, and between its samples),
+`checks` (dwells that alias are refused), `formers` (backprojection and the fast ones), `autofocus` (phase errors common
+to all detectors) and `strip` (blocks that join).
 """
 
 from sal_height.imaging.air import MEASURED_AIR, STANDARD_AIR, UNKNOWN_AIR, VACUUM, StatedAir, errors_of_air
@@ -26,11 +26,12 @@ from sal_height.imaging.formers.choice import FORMERS, FormImages
 from sal_height.imaging.instrument import instrument_errors
 from sal_height.imaging.pixels import Processing, azimuth_resolution, image_beams, line_of_sight
 from sal_height.imaging.strip_focus import StripFocuser
-from sal_height.imaging.unknown_odometry import UNKNOWN_ODOMETRY, with_unknown_odometry
+from sal_height.imaging.unknown_odometry import SPARSE_ODOMETRY, UNKNOWN_ODOMETRY, with_unknown_odometry
 
 __all__ = [
     "FORMERS",
     "MEASURED_AIR",
+    "SPARSE_ODOMETRY",
     "STANDARD_AIR",
     "UNKNOWN_AIR",
     "UNKNOWN_ODOMETRY",

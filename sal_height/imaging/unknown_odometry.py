@@ -1,4 +1,4 @@
-"""Errors of odometry whose accuracy nobody states: they are assumed, and the images are doubted.
+"""Errors of odometry whose accuracy, or motion between samples, nobody states: assumed, and the images are doubted.
 
 What is stated decides on autofocus, checks and the placement of images. What is only assumed covers the error of the
 heights: it enters the covariance of the pose once the images are made.
@@ -10,16 +10,27 @@ from dataclasses import replace
 
 import numpy as np
 
-from sal_height.doubts import Assumption, Unknown, doubts_of_assumed
-from sal_height.geometry import ASSUMED, ApertureState, antenna_covariance, rotation_matrix, shift_along
+from sal_height.doubts import Assumption, Doubt, Unknown, doubts_of_assumed
+from sal_height.geometry import (
+    ASSUMED,
+    ASSUMED_ACCELERATION,
+    ASSUMED_TURNING,
+    ApertureState,
+    Trajectory,
+    antenna_covariance,
+    rotation_matrix,
+    shift_along,
+)
 from sal_height.imaging.corrections import Corrected
 from sal_height.imaging.focus import Slc
 from sal_height.imaging.pixels import line_of_sight
 from sal_height.numeric import F64
 
 UNKNOWN_ODOMETRY = "odometry of unknown accuracy"
-"""Name of the doubt."""
+"""Name of the doubt about what samples do not state."""
 
+SPARSE_ODOMETRY = "sparse odometry"
+"""Name of the doubt about the motion between samples."""
 
 UNSTATED = Unknown(
     "The odometry does not state how well it is known (a variance is zero, negative or NaN, or all axes have one "
@@ -37,19 +48,22 @@ _QUANTITIES = (
 
 
 def with_unknown_odometry(slc: Slc, dwell: Corrected) -> Slc:
-    """Images with the errors in the covariance of their pose that are assumed of odometry of unknown accuracy.
+    """Images with the errors in the covariance of their pose that are assumed of odometry, and between its samples.
 
-    They are the same images if all of it is stated.
+    They are the same images if all of it is stated, and samples are dense.
 
     Args:
         slc: images.
         dwell: dwell, or block that completed the images of a strip.
     """
     history, track, sensor, _ = dwell
-    variances = track.assumed(history.stamp_ns, history.pulse_times)
+    of_samples = track.assumed(history.stamp_ns, history.pulse_times)
+    in_gaps = track.assumed_in_gaps(history.stamp_ns, history.pulse_times)
+    variances = of_samples + in_gaps
     if not variances.any():
         return slc
-    assumed = [what for axes, what in _QUANTITIES if variances[axes].any()]
+    assumed = [what for axes, what in _QUANTITIES if of_samples[axes].any()]
+    sparse = _doubts_of_gap(track, track.gap_s(history.stamp_ns, history.pulse_times)) if in_gaps.any() else ()
     aperture, sight = slc.aperture, line_of_sight(sensor, slc.aperture)
     orientation = track.nearest(history.stamp_ns, history.pulse_times).orientation
     pose = antenna_covariance(np.diag(variances[:6]), orientation, sensor.mounting)
@@ -61,8 +75,19 @@ def with_unknown_odometry(slc: Slc, dwell: Corrected) -> Slc:
     return replace(
         slc,
         aperture=replace(aperture, covariance=aperture.covariance + pose),
-        doubts=(*slc.doubts, *doubts_of_assumed(UNKNOWN_ODOMETRY, UNSTATED, assumed)),
+        doubts=(*slc.doubts, *doubts_of_assumed(UNKNOWN_ODOMETRY, UNSTATED, assumed), *sparse),
     )
+
+
+def _doubts_of_gap(track: Trajectory, gap_s: float) -> tuple[Doubt, ...]:
+    """The doubt about the motion between samples of odometry that are so far apart (s)."""
+    sentence = (
+        f"Samples of the odometry are {gap_s:.3g} s apart, and nobody states how the platform moves between them; "
+        f"assumed are random accelerations of {ASSUMED_ACCELERATION:g} m/s^2/sqrt(Hz), or those that the samples show, "
+        f"and turns of {ASSUMED_TURNING:g} rad/s^2/sqrt(Hz). Send odometry every {track.motion.interval_s:g} s or more "
+        "often, or state acceleration_noise and turning_noise."
+    )
+    return (Doubt(SPARSE_ODOMETRY, sentence, size=gap_s, unit="s"),)
 
 
 def _deviation(variances: F64, direction: F64) -> float:

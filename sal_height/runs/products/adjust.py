@@ -127,7 +127,8 @@ def _observe(run: BagRun, estimator: str) -> Iterator[ObservedDwell]:
             images[item.key] = item
         elif isinstance(item, Heights) and (source := images.pop(item.key).source) is not None:
             settings = source.settings
-            track = Trajectory(source.states, motion=settings.motion, accuracy=settings.accuracy.with_assumed)
+            motion, accuracy = settings.motion.with_assumed, settings.accuracy.with_assumed
+            track = Trajectory(source.states, motion=motion, accuracy=accuracy)
             track = correct_track(track, settings)
             try:
                 yield ObservedDwell.of(item.field, source.slc, source.sensor, track, source.pulses, run.scheme.epoch_ns)

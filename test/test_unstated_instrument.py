@@ -11,7 +11,7 @@ from helpers import flat_scene, make_sensor
 from scipy.spatial.transform import Rotation
 
 from sal_height.elevation import ESTIMATORS, HeightSettings, MlSettings
-from sal_height.geometry import AT_BASE_LINK
+from sal_height.geometry import AT_BASE_LINK, shift_along
 from sal_height.imaging import CorrectionSettings, ImageSettings, Slc, image_beams, with_known_errors
 from sal_height.imaging.pixels import line_of_sight
 from sal_height.numeric import fraction_of
@@ -118,6 +118,9 @@ def test_what_is_assumed_are_shifts_and_turns_of_an_instrument_that_nobody_calib
     sight, flight = line_of_sight(sensor, aperture), aperture.velocity
     along = 0.15**2 + (2e-6 * np.linalg.norm(assumed.grid.middle - aperture.position)) ** 2
     expected = 0.02**2 * np.eye(3) + along * np.outer(sight, sight) + 1e-3**2 * np.outer(flight, flight)
+    # The boresight is off by many of the angles that the Doppler of pulses gives the beams along the flight.
+    reach = np.linalg.norm(assumed.grid.middle - aperture.position) * shift_along(aperture, sight)
+    expected += 1e-3**2 * np.outer(reach, reach)
     np.testing.assert_allclose(aperture.covariance[:3, :3], expected, rtol=1e-6, atol=1e-9)
     np.testing.assert_allclose(aperture.covariance[3:, 3:], 1e-6 * np.eye(3), rtol=1e-9, atol=1e-15)
 

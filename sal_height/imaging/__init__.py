@@ -3,11 +3,12 @@
 Read `focus` and `strip_focus` first (`focus_dwell`, `StripFocuser`: the whole of it), then `pixels` (image grids,
 their noise, windows, and beams in strip images), `corrections` (known errors), `air` (delay and bend), `instrument`
 (errors that the sensor's description leaves), `unknown_odometry` (assumed ones of odometry, and between its samples),
-`checks` (dwells that alias are refused), `formers` (backprojection and the fast ones), `autofocus` (phase errors common
-to all detectors) and `strip` (blocks that join).
+`ambiguous_position` (along the flight, by Doppler), `checks` (dwells that alias are refused), `formers` (backprojection
+and the fast ones), `autofocus` (phase errors common to all detectors) and `strip` (blocks that join).
 """
 
 from sal_height.imaging.air import MEASURED_AIR, STANDARD_AIR, UNKNOWN_AIR, VACUUM, StatedAir, errors_of_air
+from sal_height.imaging.ambiguous_position import with_ambiguous_position
 from sal_height.imaging.autofocus.gradient import apply_phase, focus_cells, is_for_speckle
 from sal_height.imaging.autofocus.placement import Centroid, NavigationPrior, Placement
 from sal_height.imaging.autofocus.strip_phase import stays_in_range_cell
@@ -63,6 +64,7 @@ __all__ = [
     "is_for_speckle",
     "line_of_sight",
     "stays_in_range_cell",
+    "with_ambiguous_position",
     "with_errors",
     "with_known_errors",
     "with_unknown_odometry",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import numpy as np
 from sal_height.array_files import named_arrays
 from sal_height.errors import UserError
 from sal_height.geometry import Origin
+from sal_height.imports.assumed_attitudes import with_assumed_attitudes
 from sal_height.imports.collection import Collection, Description, read_description, write_collection
 from sal_height.imports.track import PlatformTrack, read_recorded_track, read_track
 from sal_height.sensor import PhaseHistory
@@ -98,7 +100,12 @@ def collection_of(
             np.asarray(arrays[name], dtype=np.float64) if name in arrays else None for name in OF_TRACK
         )
         track = PlatformTrack(np.ravel(seconds), positions, velocities, attitudes)  # type: ignore[arg-type]  # looked for above
-    return Collection(sensor, histories, track.states(start_ns), description.place, description.processing)
+    states = track.states(start_ns)
+    collection = Collection(sensor, histories, states, description.place, description.processing)
+    if track.attitudes is not None:
+        return collection
+    collection.check()
+    return replace(collection, states=with_assumed_attitudes(states, histories, sensor, description))
 
 
 def _per_pulse(name: str, values: Any, shape: tuple[int, int]) -> Any:

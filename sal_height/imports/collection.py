@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from annotated_types import Ge, Gt, MinLen
+from annotated_types import Ge, Gt, Le, MinLen
 from pydantic_core import PydanticCustomError
 from scipy.constants import speed_of_light
 from scipy.spatial.transform import Rotation
@@ -58,6 +58,8 @@ class Description(StrictKeys):
     full_scale: Annotated[Float, Ge(0)] = 0.0
     mounting: MountingSettings = field(default_factory=MountingSettings)
     uncertainty: UncertaintySettings = field(default_factory=UncertaintySettings)
+    assumed_attitude_sigma_rad: Annotated[Float, Gt(0), Le(np.pi)] = 0.05
+    assumed_heading_sigma_rad: Annotated[Float, Gt(0), Le(np.pi)] = 0.1
     origin: OriginSettings | None = None
     processing: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 

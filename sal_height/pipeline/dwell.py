@@ -39,6 +39,8 @@ from sal_height.imaging import (
     cell_response,
     correct_dwell,
     focus_dwell,
+    with_ambiguous_position,
+    with_known_errors,
     with_unknown_odometry,
 )
 from sal_height.numeric import Bool, Index, one_blas_thread
@@ -93,7 +95,9 @@ class Compressor:
             slc = self._strip.focus_block(corrected, settings, calibration)
         # The corrections and odometry leave a common error of all pixels, stated or assumed.
         if slc:
+            stated = with_known_errors(slc.aperture, slc.grid.middle, corrected.sensor, settings).covariance
             slc = with_unknown_odometry(with_instrument(slc, corrected.sensor, settings), corrected)
+            slc = with_ambiguous_position(slc, corrected.sensor, stated)
         # The calibration has raised the noise of channels that were weak.
         if slc and calibration:
             slc = replace(slc, noise_power=calibration.noise_gains(settings.range_window) * slc.noise_power)

@@ -9,8 +9,8 @@ from sal_height.engine.frames import PlacedOrigin
 from sal_height.engine.mapper import ORIGIN_PORT
 from sal_height.engine.settings import FrameSettings, MapOriginSettings
 from sal_height.engine.stage import Port, Product, Stage, StageSettings
-from sal_height.errors import UserError
-from sal_height.geometry import Navigation, PlatformState, Sample
+from sal_height.errors import Rejected, UserError
+from sal_height.geometry import GEOID_SIGMA_M, LEVELS, UNKNOWN_LEVEL, Altitudes, Navigation, PlatformState, Sample
 from sal_height.settings import setting
 from sal_height.topics import MAP_ORIGIN, ODOMETRY
 
@@ -51,6 +51,21 @@ class NavigationSettings(FrameSettings, MapOriginSettings, StageSettings):
         choices=("pose", "fix"),
         read_only=True,
     )
+    altitude_above: str = setting(
+        "unknown",
+        "level above which altitudes on platform/fix are: the ellipsoid (WGS 84), or the geoid (mean sea level), as "
+        f"many receivers state them; unknown: heights are uncertain by {GEOID_SIGMA_M:g} m together",
+        choices=LEVELS,
+        read_only=True,
+    )
+    geoid_height_m: float = setting(
+        0.0,
+        "height of the geoid above the ellipsoid where the flight is, for altitudes above the geoid",
+        unit="m",
+        minimum=-120.0,
+        maximum=100.0,
+        read_only=True,
+    )
     velocity: str = setting(
         "twist",
         "source of the velocity: twist is topic platform/twist, positions are differences of positions",
@@ -65,6 +80,15 @@ class NavigationSettings(FrameSettings, MapOriginSettings, StageSettings):
         maximum=60.0,
         read_only=True,
     )
+
+    @property
+    def altitudes(self) -> Altitudes:
+        """The level of altitudes.
+
+        Raises:
+            UserError: the height of the geoid is not given.
+        """
+        return Altitudes(self.altitude_above, self.geoid_height_m)
 
 
 POSE_PORT = Port("platform/pose", Pose, "position and attitude, geometry_msgs/PoseStamped (position: pose)")
@@ -91,6 +115,7 @@ class NavigationStage(Stage):
                 "Node navigation must know where on the earth to lay the map that fixes are placed in (position is "
                 "fix); set origin_latitude_deg, origin_longitude_deg and origin_height_m to a position in the scene."
             )
+        self._altitudes = self._settings.altitudes
         self._navigation = self._merge()
 
     @classmethod
@@ -110,7 +135,10 @@ class NavigationStage(Stage):
         return [Port(ODOMETRY, PlatformState, "state of the platform, nav_msgs/Odometry"), ORIGIN_PORT]
 
     def begin(self, stamp_ns: int) -> None:
-        """Publish the origin of the map where it is known."""
+        """Publish the origin of the map where it is known, and report altitudes of an unknown level."""
+        if self._settings.position == "fix" and not self._altitudes.is_known:
+            unknown = Rejected("altitude above an unknown level", UNKNOWN_LEVEL)
+            self.warn(unknown.reason, unknown)
         if (origin := self._settings.origin) is not None:
             self.add(Product(MAP_ORIGIN, PlacedOrigin(origin, stamp_ns, self._settings.map_frame)))
 

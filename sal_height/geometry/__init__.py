@@ -22,7 +22,17 @@ from sal_height.geometry.frames import (
     shift_along,
     squint_on_cone,
 )
-from sal_height.geometry.geodesy import BODY_AXES, MAP_AXES, ROS_AXES, Axes, Origin
+from sal_height.geometry.geodesy import (
+    BODY_AXES,
+    GEOID_SIGMA_M,
+    LEVELS,
+    MAP_AXES,
+    ROS_AXES,
+    UNKNOWN_LEVEL,
+    Altitudes,
+    Axes,
+    Origin,
+)
 from sal_height.geometry.grid import Grid, pixels_at, ranges_of_phase, without_range_phase
 from sal_height.geometry.motion import (
     ASSUMED_ACCELERATION,
@@ -63,6 +73,8 @@ __all__ = [
     "BODY_AXES",
     "EARTH_RADIUS",
     "EXACT",
+    "GEOID_SIGMA_M",
+    "LEVELS",
     "MAP_AXES",
     "NOT_STATED",
     "PRESSURES_PA",
@@ -73,9 +85,11 @@ __all__ = [
     "STEADY",
     "TEMPERATURES_K",
     "TOP_M",
+    "UNKNOWN_LEVEL",
     "UTM",
     "WGS_84",
     "AirPath",
+    "Altitudes",
     "ApertureState",
     "Atmosphere",
     "Axes",

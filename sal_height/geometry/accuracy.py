@@ -104,15 +104,16 @@ def known_velocity(stated: F64) -> F64:
     return _known(stated, (VELOCITY,))
 
 
-def position_variance(stated: F64) -> F64:
-    """Sum of the variances of each of N positions, m^2, shape (N,); 0 where they are not finite, or huge placeholders.
+def position_variances(stated: F64) -> F64:
+    """Variances of each of N positions, m^2, shape (N, 3); 0 where they are not finite, or huge placeholders.
 
     Args:
         stated: covariances of the positions, shape (N, 3, 3).
     """
     variances = stated.diagonal(axis1=1, axis2=2)
     is_huge = np.all(variances == variances[:, :1], axis=1) & (variances[:, 0] >= POSITION.huge**2)
-    return np.where(np.isfinite(variances).all(axis=1) & ~is_huge, np.maximum(variances.sum(axis=1), 0.0), 0.0)
+    is_known = np.isfinite(variances).all(axis=1) & ~is_huge
+    return np.where(is_known[:, None], np.maximum(variances, 0.0), 0.0)
 
 
 def shortfall(pose: F64, velocity: F64, sigmas: F64) -> F64:
@@ -127,6 +128,11 @@ def shortfall(pose: F64, velocity: F64, sigmas: F64) -> F64:
     unknown = np.repeat([_is_unknown(*one) for one in zip(parts, (POSITION, ATTITUDE, VELOCITY), strict=True)], 3)
     known = np.concatenate([known_pose(pose).diagonal(), known_velocity(velocity).diagonal()])
     return np.where(unknown, np.maximum(sigmas**2 - known, 0.0), 0.0)
+
+
+def is_unknown_position(covariance: F64) -> bool:
+    """True if the covariance of a position, shape (3, 3), states nothing."""
+    return _is_unknown(covariance, POSITION)
 
 
 def _is_unknown(part: F64, block: _Block) -> bool:

@@ -13,6 +13,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from sal_height.errors import UserError
+from sal_height.geometry.accuracy import is_unknown_position
 from sal_height.geometry.frames import Mounting
 from sal_height.geometry.motion import quaternion_of, rotation_matrix
 from sal_height.geometry.trajectory import PlatformState
@@ -96,6 +98,61 @@ class Axes:
             rotation=quaternion_of(turn @ rotation_matrix(mounting.rotation) @ turn.T),
         )
 
+
+LEVELS = ("unknown", "ellipsoid", "geoid")
+"""Levels above which altitudes are: not known, the WGS-84 ellipsoid, or the geoid (mean sea level)."""
+
+GEOID_SIGMA_M = 30.0
+"""Standard deviation of an altitude whose level is not known, m: the height of the geoid above the ellipsoid is from
+-107 to +85 m over the earth, about 30 m rms (EGM96)."""
+
+
+@dataclass(frozen=True)
+class Altitudes:
+    """The level above which the altitudes of satellite fixes and tracks are.
+
+    Attributes:
+        above: name in LEVELS.
+        geoid_height_m: height of the geoid above the ellipsoid where the flight is, m; for altitudes above the geoid.
+    """
+
+    above: str = "unknown"
+    geoid_height_m: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.above == "geoid" and not self.geoid_height_m:
+            raise UserError(
+                "Altitudes are above the geoid (altitude_above), whose height above the ellipsoid is not given; state "
+                "geoid_height_m, such as 47 in Bavaria."
+            )
+
+    @property
+    def is_known(self) -> bool:
+        """True if somebody states the level."""
+        return self.above != "unknown"
+
+    @property
+    def offset_m(self) -> float:
+        """Height of the level above the ellipsoid, m; 0 if it is not known."""
+        return self.geoid_height_m if self.above == "geoid" else 0.0
+
+    def added_to(self, covariance: F64) -> F64:
+        """The covariance of a position (m^2, (3, 3)) with the error of a level that is not known, alike in all samples.
+
+        A position of unknown accuracy keeps zeros along the ground, which say so.
+        """
+        if self.is_known:
+            return covariance
+        known = np.zeros((3, 3)) if is_unknown_position(covariance) else covariance
+        return known + np.diag([0.0, 0.0, GEOID_SIGMA_M**2])
+
+
+UNKNOWN_LEVEL = (
+    "Nobody states whether altitudes are above the ellipsoid or the geoid (mean sea level); all heights may be off "
+    f"together, by a standard deviation of {GEOID_SIGMA_M:g} m. State altitude_above, and geoid_height_m where it is "
+    "the geoid."
+)
+"""Warning about altitudes of an unknown level."""
 
 ROS_AXES = Axes()
 """East, north, up and forward, left, up."""

@@ -19,7 +19,7 @@ from sal_height.geometry.accuracy import (
     OdometryAccuracy,
     known_pose,
     known_velocity,
-    position_variance,
+    position_variances,
     shortfall,
 )
 from sal_height.geometry.earth import EARTH_RADIUS
@@ -398,17 +398,20 @@ def _check_velocity(states: list[PlatformState], seconds: F64) -> None:
     """Refuse velocities that contradict the positions: those that are zero or given in other axes.
 
     The mean velocity of two successive samples must be their distance over their time difference, within 10 % of the
-    speed and three standard deviations of the positions.
+    speed and three standard deviations of the positions, along the ground and upwards each: heights whose level is not
+    known may be uncertain by much more than positions.
     """
     positions, velocities = np.array([s.position for s in states]), np.array([s.velocity for s in states])
-    sigma = np.sqrt(position_variance(np.array([s.covariance[:3, :3] for s in states])))
+    variances = position_variances(np.array([s.covariance[:3, :3] for s in states]))
+    sigma = np.sqrt(np.stack([variances[:, :2].sum(axis=1), variances[:, 2]]))
     steps = np.diff(seconds)
     made = np.diff(positions, axis=0) / steps[:, None]
     stated = (velocities[1:] + velocities[:-1]) / 2
-    allowed = 0.1 * np.linalg.norm(made, axis=-1) + 3 * (sigma[1:] + sigma[:-1]) / steps
-    difference = np.linalg.norm(made - stated, axis=-1)
-    if np.any(difference > allowed):
-        worst = int(np.argmax(difference - allowed))
+    allowed = 0.1 * np.linalg.norm(made, axis=-1) + 3 * (sigma[:, 1:] + sigma[:, :-1]) / steps
+    off = made - stated
+    excess = np.max(np.stack([np.hypot(off[:, 0], off[:, 1]), np.abs(off[:, 2])]) - allowed, axis=0)
+    if np.any(excess > 0):
+        worst = int(np.argmax(excess))
         raise UserError(
             f"The odometry's twist gives a velocity of {np.round(stated[worst], 3).tolist()} m/s in map, its positions "
             f"{np.round(made[worst], 3).tolist()}; twist must be the velocity in base_link axes."

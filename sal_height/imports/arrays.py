@@ -11,7 +11,7 @@ import numpy as np
 
 from sal_height.array_files import named_arrays
 from sal_height.errors import UserError
-from sal_height.geometry import Origin
+from sal_height.geometry import Altitudes, Origin
 from sal_height.imports.assumed_attitudes import with_assumed_attitudes
 from sal_height.imports.collection import Collection, Description, read_description, write_collection
 from sal_height.imports.track import PlatformTrack, read_recorded_track, read_track
@@ -35,20 +35,20 @@ def import_arrays(description: Path, data: Path, out: Path, track: Path | None =
         UserError: a file cannot be read, parts are missing or do not fit each other, or the bag cannot be written.
     """
     described, arrays = read_description(description), named_arrays(data)
-    flown = _read_track(track, described.place) if track else None
+    flown = _read_track(track, described.place, described.altitudes) if track else None
     collection = collection_of(described, arrays, flown)
     write_collection(collection, out)
     return len(collection.histories)
 
 
-def _read_track(path: Path, origin: Origin | None) -> PlatformTrack:
+def _read_track(path: Path, origin: Origin | None, altitudes: Altitudes) -> PlatformTrack:
     """The track in a bag or in another file.
 
     Raises:
         UserError: it cannot be read, or has no track.
     """
     is_bag = path.is_dir() or path.suffix.lower() in BAGS
-    return read_recorded_track(path, origin) if is_bag else read_track(path, origin)
+    return read_recorded_track(path, origin, altitudes) if is_bag else read_track(path, origin, altitudes)
 
 
 def collection_of(

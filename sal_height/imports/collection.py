@@ -24,7 +24,7 @@ from sal_height.bag.topics import FIX_TYPE, FRAME_TYPE, ODOMETRY_TYPE, SENSOR_TY
 from sal_height.bag.writer import BagWriter
 from sal_height.configuration import Float, StrictKeys, read_yaml, validated
 from sal_height.errors import UserError
-from sal_height.geometry import Mounting, Origin, PlatformState
+from sal_height.geometry import Altitudes, Mounting, Origin, PlatformState
 from sal_height.messages.types import ChannelFrame
 from sal_height.numeric import F64, I64
 from sal_height.sensor import PhaseHistory, Sensor
@@ -60,6 +60,8 @@ class Description(StrictKeys):
     uncertainty: UncertaintySettings = field(default_factory=UncertaintySettings)
     assumed_attitude_sigma_rad: Annotated[Float, Gt(0), Le(np.pi)] = 0.05
     assumed_heading_sigma_rad: Annotated[Float, Gt(0), Le(np.pi)] = 0.1
+    altitude_above: Literal["unknown", "ellipsoid", "geoid"] = "unknown"
+    geoid_height_m: Annotated[Float, Ge(-120), Le(100)] = 0.0
     origin: OriginSettings | None = None
     processing: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
@@ -71,6 +73,15 @@ class Description(StrictKeys):
     def place(self) -> Origin | None:
         """The map's origin on the earth; None: not known."""
         return self.origin.place if self.origin else None
+
+    @property
+    def altitudes(self) -> Altitudes:
+        """The level above which altitudes of the track are.
+
+        Raises:
+            UserError: the height of the geoid is not given.
+        """
+        return Altitudes(self.altitude_above, self.geoid_height_m)
 
     def sensor(self, pulse_count: int, sample_count: int, pulse_repetition_frequency: float) -> Sensor:
         """The sensor of dwells of that size.

@@ -20,7 +20,7 @@ from sal_height import messages
 from sal_height.bag.reader import BagReader
 from sal_height.bag.topics import FIX_TYPE, ODOMETRY_TYPE
 from sal_height.errors import Rejected, UserError
-from sal_height.geometry import Axes, Navigation, Origin, PlatformState, Sample, quaternion_of
+from sal_height.geometry import UNKNOWN_LEVEL, Altitudes, Axes, Navigation, Origin, PlatformState, Sample, quaternion_of
 from sal_height.imports.collection import level_states
 from sal_height.numeric import F64, I64
 from sal_height.topics import MAP_ORIGIN
@@ -88,22 +88,28 @@ class PlatformTrack:
         return states
 
 
-def read_track(path: Path, origin: Origin | None) -> PlatformTrack:
+LEVEL_NOT_KNOWN = Altitudes()
+"""Altitudes above a level that nobody states."""
+
+
+def read_track(path: Path, origin: Origin | None, altitudes: Altitudes = LEVEL_NOT_KNOWN) -> PlatformTrack:
     """The track in a CSV file with a line of names, or in an SBET file (.sbet, .out).
 
-    Columns of a CSV are time (s); x, y, z (map, m) or latitude, longitude (degrees), height (m above WGS 84); if they
+    Columns of a CSV are time (s); x, y, z (map, m) or latitude, longitude (degrees), height (m, above a level); if they
     are there vx, vy, vz (map, m/s); and qx, qy, qz, qw, or roll, pitch, heading as in aviation (degrees: right wing
-    down, nose up, from north over east). Times of SBET are seconds of the GPS week.
+    down, nose up, from north over east). Times of SBET are seconds of the GPS week, and its heights are above the
+    ellipsoid unless `altitudes` says otherwise.
 
     Args:
         path: CSV or SBET file.
         origin: origin of the map; None: not known.
+        altitudes: level of heights.
 
     Raises:
         UserError: it cannot be read, columns are missing or not numeric, or positions on the earth have no origin.
     """
     if path.suffix.lower() in {".sbet", ".out"}:
-        return _read_sbet(path, origin)
+        return _read_sbet(path, origin, altitudes)
     try:
         with path.open(newline="", encoding="utf-8") as file:
             names, *lines = [[word.strip() for word in line] for line in csv.reader(file) if any(line)]
@@ -123,16 +129,21 @@ def read_track(path: Path, origin: Origin | None) -> PlatformTrack:
     def stacked(wanted: Sequence[str]) -> F64 | None:
         return np.stack([columns[name] for name in wanted], axis=-1) if {*wanted} <= {*columns} else None
 
-    positions, attitudes, angles = stacked(MAP), stacked(QUATERNION), stacked(ANGLES)
+    positions, attitudes, angles, covariances = stacked(MAP), stacked(QUATERNION), stacked(ANGLES), None
     if positions is None:
         latitude, longitude, height = (columns[name] for name in EARTH)
+        height = height + altitudes.offset_m
         positions = on_earth(path, origin).to_map(np.radians(latitude), np.radians(longitude), height)
+        if not altitudes.is_known:
+            _LOG.warning("Track %s: %s", path, UNKNOWN_LEVEL)
+            covariances = np.zeros((len(table), 6, 6))
+            covariances[:, :3, :3] = altitudes.added_to(np.zeros((3, 3)))
     if attitudes is None and angles is not None:
         attitudes = _attitudes(np.radians(angles), positions, origin)
-    return PlatformTrack(columns["time"], positions, stacked(VELOCITY), attitudes)
+    return PlatformTrack(columns["time"], positions, stacked(VELOCITY), attitudes, covariances)
 
 
-def _read_sbet(path: Path, origin: Origin | None) -> PlatformTrack:
+def _read_sbet(path: Path, origin: Origin | None, altitudes: Altitudes) -> PlatformTrack:
     try:
         content = path.read_bytes()
     except OSError as error:
@@ -143,7 +154,8 @@ def _read_sbet(path: Path, origin: Origin | None) -> PlatformTrack:
     place = [records[name] for name in EARTH]
     if not np.all(np.isfinite(place)) or np.abs(records["latitude"]).max() > np.pi / 2:
         raise UserError(f"Track {path} has latitudes out of range; it is no SBET file.")
-    positions = on_earth(path, origin).to_map(*place)
+    latitude, longitude, height = place
+    positions = on_earth(path, origin).to_map(latitude, longitude, height + altitudes.offset_m)
     roll, pitch, heading = (records[name] for name in ANGLES)
     angles = np.stack([roll, pitch, heading - records["wander"]], axis=-1)
     return PlatformTrack(records["time"].copy(), positions, None, _attitudes(angles, positions, origin))
@@ -181,7 +193,7 @@ _LOG = logging.getLogger(__name__)
 IMU_TYPE = "sensor_msgs/msg/Imu"
 
 
-def read_recorded_track(bag: Path, origin: Origin | None) -> PlatformTrack:
+def read_recorded_track(bag: Path, origin: Origin | None, altitudes: Altitudes = LEVEL_NOT_KNOWN) -> PlatformTrack:
     """The track in a bag, with times counted from its first sample.
 
     It is read from nav_msgs/Odometry of base_link in map, if the bag has that; else from sensor_msgs/NavSatFix, with
@@ -191,6 +203,7 @@ def read_recorded_track(bag: Path, origin: Origin | None) -> PlatformTrack:
     Args:
         bag: folder or file, of any storage that `BagReader` reads.
         origin: origin of the map, which odometry does not need; None: not known.
+        altitudes: level of the altitudes of fixes.
 
     Raises:
         UserError: the bag cannot be read, has no such topic or several of a type, has fewer than two samples, or has
@@ -203,7 +216,9 @@ def read_recorded_track(bag: Path, origin: Origin | None) -> PlatformTrack:
     if fixes is None:
         raise UserError(f"Bag {bag} has no track; needed is a topic of type {ODOMETRY_TYPE} or {FIX_TYPE}.")
     place = on_earth(bag, origin)
-    positions = _read(reader, fixes, lambda message: messages.read_fix(message, place))
+    if not altitudes.is_known:
+        _LOG.warning("Bag %s: %s", bag, UNKNOWN_LEVEL)
+    positions = _read(reader, fixes, lambda message: messages.read_fix(message, place, altitudes))
     attitudes = _topic(reader, IMU_TYPE)
     if attitudes is None:
         return _track_of_positions(bag, positions)

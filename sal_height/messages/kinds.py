@@ -213,7 +213,7 @@ KINDS: Mapping[type, Kind] = {
     StaticTransform: Kind(types.TFMessage.__msgtype__, read_transforms, _kind(types.TFMessage).write, "transform"),
     PlacedOrigin: _kind(types.NavSatFix, _placed_origin, _origin_message),
     Pose: _kind(types.PoseStamped, lambda message, settings: Pose(*read_pose(message, frames_of(settings)))),
-    Fix: _kind(types.NavSatFix, lambda message, settings: Fix(read_fix(message, settings.origin))),
+    Fix: _kind(types.NavSatFix, lambda message, settings: Fix(read_fix(message, settings.origin, settings.altitudes))),
     Attitude: _kind(types.Imu, lambda message, settings: Attitude(read_attitude(message, frames_of(settings)))),
     Twist: _kind(types.TwistStamped, lambda message, settings: Twist(*read_twist(message, frames_of(settings)))),
     PlacedRelief: _kind(types.ReliefMap, message_of=lambda placed, _: relief_to_message(placed)),

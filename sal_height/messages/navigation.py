@@ -15,7 +15,7 @@ import numpy as np
 from sal_height.engine.air import AirSample
 from sal_height.engine.frames import Frames
 from sal_height.errors import Rejected
-from sal_height.geometry import Mounting, Origin, Sample
+from sal_height.geometry import Altitudes, Mounting, Origin, Sample
 from sal_height.imaging import CorrectionSettings
 from sal_height.messages.basics import check_finite, check_rotation, to_ns, vector_of
 from sal_height.messages.types import (
@@ -119,8 +119,8 @@ def read_origin(message: NavSatFix, map_frame: str) -> Origin:
     return Origin(math.radians(message.latitude), math.radians(message.longitude), message.altitude)
 
 
-def read_fix(message: NavSatFix, origin: Origin) -> Sample:
-    """Position in a map with this origin.
+def read_fix(message: NavSatFix, origin: Origin, altitudes: Altitudes) -> Sample:
+    """Position in a map with this origin, of altitudes above a level.
 
     Raises:
         Rejected: also if there is no fix, or it is far from the origin.
@@ -130,7 +130,8 @@ def read_fix(message: NavSatFix, origin: Origin) -> Sample:
     check_finite((message.latitude, message.longitude, message.altitude), "NavSatFix")
     if abs(message.latitude) > 90:
         raise Rejected("no satellite fix", f"NavSatFix has latitude {message.latitude:g}; it must be from -90 to 90.")
-    position = origin.to_map(math.radians(message.latitude), math.radians(message.longitude), message.altitude)
+    height = message.altitude + altitudes.offset_m
+    position = origin.to_map(math.radians(message.latitude), math.radians(message.longitude), height)
     if (distance := math.hypot(*position)) > FARTHEST_FROM_ORIGIN:
         raise Rejected(
             "far from the origin",
@@ -139,7 +140,7 @@ def read_fix(message: NavSatFix, origin: Origin) -> Sample:
         )
     known = message.position_covariance_type != NavSatFix.COVARIANCE_TYPE_UNKNOWN
     covariance = _covariance(message.position_covariance) if known else UNKNOWN
-    return Sample(to_ns(message.header.stamp), position, covariance)
+    return Sample(to_ns(message.header.stamp), position, altitudes.added_to(covariance))
 
 
 def read_attitude(message: Imu, frames: Frames) -> Sample:

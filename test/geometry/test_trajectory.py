@@ -103,12 +103,23 @@ def level_states(velocity: float, sigma: float = 0.0) -> list[PlatformState]:
 
 
 def test_velocity_that_the_positions_contradict_is_refused() -> None:
-    """Up to a tenth is left to them, and three standard deviations of the positions: here 6 sqrt(3) sigma / 10 ms."""
-    for states in (level_states(45.1), level_states(54.9), level_states(0.0, sigma=0.05)):
+    """Up to a tenth is left to them, and three standard deviations of the positions: here 6 sqrt(2) sigma / 10 ms."""
+    for states in (level_states(45.1), level_states(54.9), level_states(0.0, sigma=0.054)):
         assert Trajectory(states).epoch_ns == EPOCH_NS
-    for states in (level_states(44.9), level_states(55.1), level_states(-50.0), level_states(0.0, sigma=0.04)):
+    for states in (level_states(44.9), level_states(55.1), level_states(-50.0), level_states(0.0, sigma=0.052)):
         with refused(UserError, f"{states[0].velocity.tolist()} m/s", "positions [50.0, 0.0, 0.0]"):
             Trajectory(states)
+
+
+def test_a_height_that_is_not_known_does_not_hide_a_wrong_velocity_along_the_ground() -> None:
+    """30 m of standard deviation, as of an altitude above an unknown level, allow any velocity upwards."""
+    above_unknown = np.diag([1e-6, 1e-6, 900.0, 0, 0, 0])
+    with refused(UserError, "positions [50.0, 0.0, 0.0]"):
+        Trajectory([replace(one, covariance=above_unknown) for one in level_states(0.0)])
+    climbing = [replace(one, velocity=np.array([50.0, 0, 6.0])) for one in level_states(50.0)]
+    with refused(UserError, "positions [50.0, 0.0, 0.0]"):
+        Trajectory(climbing)
+    assert Trajectory([replace(one, covariance=above_unknown) for one in climbing]).states
 
 
 def test_platform_that_stands_still_is_refused() -> None:

@@ -19,7 +19,7 @@ from written_arrays import write_hdf5, write_mat73
 from sal_height import messages
 from sal_height.bag.reader import BagReader
 from sal_height.errors import UserError
-from sal_height.geometry import Origin, PlatformState, rotation_matrix
+from sal_height.geometry import Altitudes, Origin, PlatformState, rotation_matrix
 from sal_height.imports import Collection, import_arrays, level_states, read_track, write_collection
 from sal_height.imports.arrays import OF_TRACK
 from sal_height.imports.collection import read_description
@@ -241,7 +241,13 @@ def test_a_track_of_places_and_angles_of_aviation(tmp_path: Path) -> None:
     longitude, latitude, _ = Geod(ellps="WGS84").fwd(11.3, 48.1, 45.0, 20.0)
     lines = [COLUMNS, "0, 48.1, 11.3, 3560, 2, 3, 45", f"0.5, {latitude!r}, {longitude!r}, 3560, 2, 3, 45"]
     (tmp_path / "track.csv").write_text("\n".join(lines))
-    track = read_track(tmp_path / "track.csv", ORIGIN)
+    track = read_track(tmp_path / "track.csv", ORIGIN, Altitudes("ellipsoid"))
+    assert track.covariances is None
+    above = read_track(tmp_path / "track.csv", ORIGIN, Altitudes("geoid", 47.0))
+    np.testing.assert_allclose(above.positions - track.positions, [[0, 0, 47.0]] * 2, rtol=0, atol=1e-3)
+    unknown = read_track(tmp_path / "track.csv", ORIGIN)
+    np.testing.assert_array_equal(unknown.positions, track.positions)
+    np.testing.assert_array_equal(np.diag(unknown.states(0)[0].covariance), [0, 0, 900.0, 0, 0, 0])
     np.testing.assert_allclose(track.positions[0], [0, 0, 3000], rtol=0, atol=1e-8)
     way = track.positions[1] - track.positions[0]
     stretched = 20.0 * (1 + 3560 / 6.38e6)
@@ -276,7 +282,10 @@ def test_a_track_of_inertial_post_processing(tmp_path: Path) -> None:
     records["heading"], records["wander"], records["roll"] = 0.5, 0.5, 0.1
     records.tofile(tmp_path / "flight.sbet")
     assert (tmp_path / "flight.sbet").stat().st_size == 3 * 17 * 8
-    track = read_track(tmp_path / "flight.sbet", ORIGIN)
+    track = read_track(tmp_path / "flight.sbet", ORIGIN)  # whose format says that heights are above the ellipsoid
+    above = read_track(tmp_path / "flight.sbet", ORIGIN, Altitudes("geoid", 47.0))
+    assert above.positions[0] == pytest.approx([0, 0, 3047], abs=1e-6)
+    assert track.covariances is None
     assert track.positions[0] == pytest.approx([0, 0, 3000], abs=1e-6)
     assert track.positions[2, 1] == pytest.approx(2e-8 * 6.38e6, rel=0.01)
     assert track.attitudes is not None

@@ -19,7 +19,7 @@ from sal_height import messages
 from sal_height.bag.qos import ODOMETRY
 from sal_height.bag.writer import BagWriter
 from sal_height.errors import UserError
-from sal_height.geometry import Origin, PlatformState, rotation_matrix
+from sal_height.geometry import Altitudes, Origin, PlatformState, rotation_matrix
 from sal_height.imports import read_recorded_track
 from sal_height.messages import serialize
 from sal_height.messages.types import Header, Imu, NavSatFix, NavSatStatus, Odometry, Quaternion
@@ -83,13 +83,14 @@ def write(folder: Path, recorded: Iterable[tuple[str, Any]]) -> Path:
     return folder
 
 
+ELLIPSOID = Altitudes("ellipsoid")
 FIXES = [("/gps/fix", fix(t)) for t in np.arange(0, 4, 0.5)]
 ATTITUDES = [("/imu/data", imu(t)) for t in np.arange(0.01, 4, 0.02)]
 
 
 def test_fixes_and_attitudes_are_a_track(tmp_path: Path) -> None:
     """Between fixes, half a second apart, on the parabola that the aircraft flies; attitudes turned into map."""
-    track = read_recorded_track(write(tmp_path / "bag", [*ATTITUDES, *FIXES]), ORIGIN)
+    track = read_recorded_track(write(tmp_path / "bag", [*ATTITUDES, *FIXES]), ORIGIN, ELLIPSOID)
     states = track.states(0)
     seconds = np.array([(state.stamp_ns - START_NS) * 1e-9 for state in states])
     # The first and the last fix have no slope: from the second to the last but one, every attitude is used.
@@ -103,8 +104,21 @@ def test_fixes_and_attitudes_are_a_track(tmp_path: Path) -> None:
         np.testing.assert_allclose(np.sqrt(np.diag(state.covariance)[:3]), DEVIATION, rtol=1e-3)
 
 
+def test_fixes_above_another_level_than_the_ellipsoid(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    bag, found = write(tmp_path / "bag", FIXES), []
+    for altitudes in (ELLIPSOID, Altitudes("geoid", -20.0), Altitudes()):
+        caplog.clear()
+        found.append((read_recorded_track(bag, ORIGIN, altitudes).states(0)[3], caplog.text))
+    (above, _), (below, _), (unknown, said) = found
+    np.testing.assert_allclose(below.position - above.position, [0, 0, -20.0], rtol=0, atol=0.02)
+    np.testing.assert_array_equal(unknown.position, above.position)
+    np.testing.assert_allclose(np.diag(unknown.covariance - above.covariance)[:3], [0, 0, 900.0])
+    assert "Nobody states whether altitudes are above the ellipsoid or the geoid" in said
+    assert not found[0][1]
+
+
 def test_fixes_alone_are_a_track_of_a_level_platform(tmp_path: Path) -> None:
-    states = read_recorded_track(write(tmp_path / "bag", FIXES), ORIGIN).states(0)
+    states = read_recorded_track(write(tmp_path / "bag", FIXES), ORIGIN, ELLIPSOID).states(0)
     assert [state.stamp_ns for state in states] == [START_NS + i * 500_000_000 for i in range(8)]
     position, velocity = flown(1.5)
     np.testing.assert_allclose(states[3].position, position, rtol=0, atol=1e-6)
@@ -133,7 +147,7 @@ def test_odometry_is_the_track_as_it_is_whatever_else_there_is(tmp_path: Path) -
 def test_fixes_without_satellites_are_left_out_and_told(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     lost = [("/gps/fix", fix(t, NavSatStatus.STATUS_NO_FIX)) for t in (0.25, 0.75)]
     with caplog.at_level(logging.WARNING):
-        states = read_recorded_track(write(tmp_path / "bag", [*FIXES, *lost]), ORIGIN).states(0)
+        states = read_recorded_track(write(tmp_path / "bag", [*FIXES, *lost]), ORIGIN, ELLIPSOID).states(0)
     assert len(states) == len(FIXES)
     assert "2 messages on /gps/fix are not used. NavSatFix says that it has no fix" in caplog.text
 
@@ -145,7 +159,7 @@ def test_attitudes_beside_a_gap_of_fixes_are_left_out_and_told(
     fixes = [("/gps/fix", fix(t)) for t in (*np.arange(0, 3, 0.5), *np.arange(6, 9, 0.5))]
     attitudes = [("/imu/data", imu(t)) for t in np.arange(0.1, 8.5, 0.2)]
     with caplog.at_level(logging.WARNING):
-        states = read_recorded_track(write(tmp_path / "bag", [*fixes, *attitudes]), ORIGIN).states(0)
+        states = read_recorded_track(write(tmp_path / "bag", [*fixes, *attitudes]), ORIGIN, ELLIPSOID).states(0)
     seconds = [(state.stamp_ns - START_NS) * 1e-9 for state in states]
     assert seconds
     assert all(0.5 <= time <= 2.0 or 6.5 <= time <= 8.0 for time in seconds)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import assert_one_sentence, publisher_of
+from helpers import assert_one_sentence, publisher_of, refused
 from instrument_messages import fix_at, imu_at, in_aviation_axes, pose_of, twist_of
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -101,9 +101,37 @@ def test_the_node_receives_instruments_of_either_quality_of_service(
     assert graph.spin_until(lambda: len(odometry) == len(sent), TIMEOUT_S), node.last_rejection
 
 
+ELLIPSOID = {**ORIGIN_DEG, "altitude_above": "ellipsoid"}
+
+
+def test_altitudes_above_the_geoid_are_raised_and_those_above_an_unknown_level_are_uncertain() -> None:
+    """The fixes state 3 m of standard deviation."""
+    made = {}
+    settings: dict[str, dict[str, Any]] = {
+        "ellipsoid": ELLIPSOID,
+        "geoid": {**ORIGIN_DEG, "altitude_above": "geoid", "geoid_height_m": 47.0},
+        "unknown": ORIGIN_DEG,
+    }
+    for name, parameters in settings.items():
+        instruments = Instruments(position="fix", velocity="positions", **parameters)
+        for tenth in range(6):
+            instruments.send(fix_at(0.1 * tenth, 48.1 + 1e-5 * tenth), imu_at(0.1 * tenth + 0.02))
+        made[name] = instruments.states()[0], instruments.stage.counted("ignored.")
+    up = {name: state.position[2] - made["ellipsoid"][0].position[2] for name, (state, _) in made.items()}
+    assert up["geoid"] == pytest.approx(47.0, abs=1e-3)
+    assert up["unknown"] == 0
+    assert [made[name][0].covariance[2, 2] for name in made] == [9.0, 9.0, 909.0]
+    assert [name for name in made if "altitude above an unknown level" in made[name][1]] == ["unknown"]
+
+
+def test_a_geoid_of_unknown_height_is_refused() -> None:
+    with refused(UserError, "geoid_height_m"):
+        Instruments(position="fix", altitude_above="geoid", **ORIGIN_DEG)
+
+
 def test_fixes_and_attitudes_become_odometry_in_a_map_on_the_earth() -> None:
     """The platform flies north at a constant rate of latitude: 1e-5 degrees in 0.1 s are 11.1 m/s."""
-    instruments = Instruments(position="fix", velocity="positions", **ORIGIN_DEG)
+    instruments = Instruments(position="fix", velocity="positions", **ELLIPSOID)
     for tenth in range(6):
         instruments.send(fix_at(0.1 * tenth, 48.1 + 1e-5 * tenth))
         instruments.send(*(imu_at(0.1 * tenth + 0.02 * step) for step in range(1, 5)))
@@ -122,7 +150,7 @@ def test_fixes_and_attitudes_become_odometry_in_a_map_on_the_earth() -> None:
 def test_what_instruments_do_not_state_is_unknown_of_the_odometry(number: float) -> None:
     """Also a covariance of the type UNKNOWN, whatever it is; the velocity is known of neither."""
     for of_type in (NavSatFix.COVARIANCE_TYPE_UNKNOWN, NavSatFix.COVARIANCE_TYPE_DIAGONAL_KNOWN):
-        instruments = Instruments(position="fix", velocity="positions", **ORIGIN_DEG)
+        instruments = Instruments(position="fix", velocity="positions", **ELLIPSOID)
         for tenth in range(6):
             fix, imu = fix_at(0.1 * tenth, 48.1 + 1e-5 * tenth), imu_at(0.1 * tenth + 0.02)
             fix.position_covariance_type = of_type

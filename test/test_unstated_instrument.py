@@ -16,7 +16,7 @@ from sal_height.imaging import CorrectionSettings, ImageSettings, Slc, image_bea
 from sal_height.imaging.pixels import line_of_sight
 from sal_height.numeric import fraction_of
 from sal_height.pipeline import Compressor, heights, known_beams
-from sal_height.pipeline.instrument import INSTRUMENT, with_instrument
+from sal_height.pipeline.instrument import INSTRUMENT, range_covariance, with_instrument
 from sal_height.runs.truth.comparison import SurfaceComparison, compare, joined_comparisons
 from sal_height.runs.truth.surface_report import as_flown, true_surfaces
 from sal_height.sensor import EXACT, NEPERS_PER_DB, NOTHING_STATED, BeamErrors, PhaseHistory, Sensor, SensorUncertainty
@@ -189,3 +189,16 @@ def test_descriptions_from_before_keep_their_identity() -> None:
     sensor = make_sensor(uncertainty=NOTHING_STATED, mounting=AT_BASE_LINK)
     assert sensor.config_hash == "ddb9d09d9d56244a"
     assert make_sensor().config_hash != sensor.config_hash
+
+
+def test_the_covariance_by_ranges_is_the_part_of_range_delay_clock_and_air() -> None:
+    """Of images whose mounting and stamps are exact it is all; nothing where parameters of then state nothing."""
+    slc, sensor = compressed(flown(0), described(AS_SIMULATED)), described(NOTHING)
+    exact = {"boresight_sigma_rad": 0.0, "lever_arm_sigma_m": 0.0, "odometry_delay_sigma_s": 0.0}
+    settings = ImageSettings(air="standard", elevation_sigma_rad=1e-5, **exact)
+    middle = slc.grid.middle
+    found = range_covariance(slc.aperture, middle, sensor, {**dict(settings), "boresight_sigma_rad": 1e-3})
+    expected = with_instrument(slc, sensor, settings).aperture.covariance - slc.aperture.covariance
+    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-18)
+    assert found[3:, 3:].any()
+    assert not range_covariance(slc.aperture, middle, sensor, {"boresight_sigma_rad": 1e-3}).any()

@@ -31,6 +31,7 @@ from sal_height.adjustment import (
     placement_in_strip,
 )
 from sal_height.elevation import BEAM_PITCH, ESTIMATORS
+from sal_height.engine.air import USED_AIR
 from sal_height.engine.compression import ODOMETRY_PORT
 from sal_height.engine.dwells import SENSOR_PORT, SENSORS_KEPT, DwellStage, WholeDwell
 from sal_height.engine.frame_items import LONGEST_DWELL
@@ -50,7 +51,9 @@ from sal_height.geometry import (
     PlatformState,
     Trajectory,
 )
+from sal_height.imaging import MEASURED_AIR
 from sal_height.numeric import F64
+from sal_height.pipeline import range_covariance
 from sal_height.rehearsal import once, rehearse_adjustment
 from sal_height.relief import HeightField
 from sal_height.sensor import AS_DESCRIBED, Sensor, deviation_of
@@ -226,9 +229,10 @@ class FlightAdjuster:
                 "the next dwell is adjusted as the first one.",
             )
         seconds = [(state.stamp_ns - self._epoch_ns) * 1e-9 for state in states]
+        ranges = range_covariance(dwell.aperture, heights.field.grid.middle, sensor, _with_used_air(stage))
         return AdjustedDwell(
-            corrected_heights(heights.field, dwell, off, pitch_in_heights(heights, sensor)),
-            corrected_aperture(dwell, off),
+            corrected_heights(heights.field, dwell, off, pitch_in_heights(heights, sensor), ranges),
+            corrected_aperture(dwell, off, ranges),
             off,
             corrected_states(states, seconds, adjustment, sensor.mounting, known),
             corrected_mounting(sensor.mounting, adjustment),
@@ -450,6 +454,11 @@ def _known(settings: AdjusterSettings, stage: Mapping[str, Any]) -> AdjustmentSe
     return AdjustmentSettings(
         **{**values, **{name: stage[name] for name in KNOWN if stage.get(name) not in SAYS_NOTHING}}
     )
+
+
+def _with_used_air(stage: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Parameters of the compression with the air that it received, if it did."""
+    return {**stage, "air": MEASURED_AIR, **stage[USED_AIR]} if USED_AIR in stage else stage
 
 
 def _check_mounting(stage: Mapping[str, Any]) -> None:

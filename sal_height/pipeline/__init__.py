@@ -7,6 +7,7 @@ of the sensor's description), `strip` (data that a strip keeps from block to blo
 from sal_height.pipeline.beam_errors import known_beams
 from sal_height.pipeline.channels import channel_sets, channels_and_beams, live_channels
 from sal_height.pipeline.dwell import Compressor, corrected_spectrum, elevations, heights, heights_of_dwells
+from sal_height.pipeline.instrument import range_covariance
 from sal_height.pipeline.moving import dwell_with_movers, movers
 
 __all__ = [
@@ -21,4 +22,5 @@ __all__ = [
     "known_beams",
     "live_channels",
     "movers",
+    "range_covariance",
 ]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from driven import accept, drive
 from flown_items import SMALL, flight_items, heights_in, made, ml_stage, small_flight
 
@@ -95,3 +96,29 @@ def test_heights_say_what_is_assumed_of_their_instrument_and_beams() -> None:
     assert "boresight" not in heights.doubts[0].sentence  # the mounting is that of the preset
     known = made([Compression(settings), ml_stage()], chosen, flight_items(flight, dwells=[0]), "ml/height")
     assert known[0].doubts == ()
+
+
+def test_adjusted_heights_keep_what_is_not_known_of_range_and_air() -> None:
+    """No comparison of dwells shows it; parameters of before there were such errors say that it is exact."""
+    flight = small_flight()
+    states = [state for port, state in flight_items(flight, dwells=[0, 1]) if port == ODOMETRY]
+    heights = heights_in(flight, **SMALL)[0]
+    found = []
+    for changed in ({}, {"range_sigma_m": 0.3}, {"air": "standard"}, {"air": "measured", "heard_air": {}}):
+        stated = {**dict(CompressionSettings(**SMALL)), **changed}
+        told = replace(heights, provenance=heights.provenance.derived("sar_compression", stated))
+        adjusted = FlightAdjuster(References()).adjust(told, flight.sensor, states, HeightAdjuster.settings())
+        pixels = adjusted.field.first.common_covariance
+        assert pixels is not None
+        found.append((adjusted.aperture.covariance, pixels, adjusted.field.first.sigma))
+    (exact, of_exact, sigma), (late, of_late, greater), *airs = found
+    slant_range = flight.preset.flight.slant_range_m
+    assert np.trace(late - exact) == pytest.approx(0.3**2, rel=1e-6)
+    up = of_late[..., 2, 2] - of_exact[..., 2, 2]
+    seen = np.isfinite(up)
+    look = np.cos(flight.preset.flight.look_angle_rad)
+    np.testing.assert_allclose(up[seen], (0.3 * look) ** 2, rtol=0.02)
+    np.testing.assert_allclose(greater[seen] ** 2 - sigma[seen] ** 2, up[seen], rtol=1e-3)
+    for aperture, *_ in airs:
+        # 10 K of 1.3 m of delay; the map's height may be off by 100 m.
+        assert 1e-6 * slant_range < np.sqrt(np.trace((aperture - exact)[:3, :3])) < 1e-4 * slant_range

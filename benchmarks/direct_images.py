@@ -17,12 +17,12 @@ from sal_height.imaging import Processing, Slc, azimuth_resolution
 from sal_height.imaging.pixels import slant_plane_grid, slc_noise_power
 from sal_height.numeric import C64, Complex, blocks, broadening, chirp_z, in_parallel
 from sal_height.sensor import Sensor
-from sal_height.simulation import Scene, VisibleSurface, load_preset
+from sal_height.simulation import Preset, Scene, VisibleSurface, load_preset
 from sal_height.simulation.scene import visible_surface
 from sal_height.simulation.spotlight import cell_power, draw_amplitudes
 
 SLANT_RANGE = 5000.0
-LOOK_ANGLE = np.pi / 4
+PRESET = "sal_spotlight"
 MARGIN = 8
 """Columns of ground that are simulated beside the image, at each side."""
 
@@ -67,27 +67,56 @@ class DirectImages:
 
 
 def lidar(
-    cols: int, pattern: str = "jinc", detectors: int = 16, detector_size: tuple[float, float] = (0.0, 0.0)
+    cols: int,
+    pattern: str = "jinc",
+    detectors: int = 16,
+    detector_size: tuple[float, float] = (0.0, 0.0),
+    look_angle: float = np.pi / 4,
+    preset_name: str = PRESET,
 ) -> Sensor:
-    """The lidar of preset sal_spotlight with beams that cover `cols` columns in azimuth, and as many pulses."""
-    preset = load_preset("sal_spotlight")
-    length = preset.flight.speed_mps * preset.sensor.pulse_count / preset.sensor.pulse_repetition_frequency_hz
-    beamwidth = BEAM_COLUMNS * cols * preset.sensor.wavelength_m / (2 * length)
+    """The lidar of a preset with beams that cover `cols` columns in azimuth, and as many pulses.
+
+    Args:
+        cols: number of columns.
+        pattern: pattern of the beams.
+        detectors: number of detectors.
+        detector_size: size of a detector along and across the axis of the array, beamwidths.
+        look_angle: angle from nadir of the middle of the array, rad.
+        preset_name: name of the preset.
+    """
+    preset = load_preset(preset_name)
+    beamwidth = BEAM_COLUMNS * cols * preset.sensor.wavelength_m / (2 * _aperture_length(preset))
     described = replace(
         preset.sensor,
+        mode="spotlight",
         pattern=pattern,
         detectors=detectors,
         detector_size_beamwidths=detector_size,
         azimuth_aperture_m=preset.sensor.wavelength_m / beamwidth,
         pulse_count=cols + 2 * MARGIN,
     )
-    return replace(preset, sensor=described).make_sensor()
+    flight = replace(preset.flight, look_angle_rad=look_angle)
+    return replace(preset, sensor=described, flight=flight).make_sensor()
+
+
+def _aperture_length(preset: Preset) -> float:
+    """Length of the synthetic aperture, m: of a dwell, or in stripmap the width of the beam on the ground."""
+    sensor, flight = preset.sensor, preset.flight
+    if sensor.mode == "stripmap":
+        return sensor.wavelength_m / sensor.aperture_m * flight.slant_range_m
+    return flight.speed_mps * sensor.pulse_count / sensor.pulse_repetition_frequency_hz
 
 
 def direct_images(
-    scene: Scene, sensor: Sensor, shape: tuple[int, int], processing: Processing, rng: np.random.Generator
+    scene: Scene,
+    sensor: Sensor,
+    shape: tuple[int, int],
+    processing: Processing,
+    rng: np.random.Generator,
+    look_angle: float = np.pi / 4,
+    preset_name: str = PRESET,
 ) -> DirectImages:
-    """Images of a scene seen from the south-looking flight of preset sal_spotlight.
+    """Images of a scene seen from a flight that looks south.
 
     Args:
         scene: centred on the map origin.
@@ -95,15 +124,16 @@ def direct_images(
         shape: rows and columns of the images.
         processing: windows.
         rng: random generator of speckle and noise.
+        look_angle: look angle of the sensor, rad.
+        preset_name: name of the preset of the sensor.
     """
-    preset = load_preset("sal_spotlight")
-    length = preset.flight.speed_mps * preset.sensor.pulse_count / preset.sensor.pulse_repetition_frequency_hz
+    preset = load_preset(preset_name)
     aim = sphere_point(0.0, 0.0, scene.reference_height)
     aperture = ApertureState(
-        position=aim - SLANT_RANGE * look_direction(LOOK_ANGLE, 0.0, sensor.look_side),
+        position=aim - SLANT_RANGE * look_direction(look_angle, 0.0, sensor.look_side),
         velocity=np.array([preset.flight.speed_mps, 0.0, 0.0]),
         rotation=np.eye(3),
-        length=length,
+        length=_aperture_length(preset),
         covariance=np.zeros((6, 6)),
         sliding=False,
     )

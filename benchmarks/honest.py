@@ -2,7 +2,7 @@
 
 Every surface of every pixel that is published as valid is compared with the nearest true surface of its pixel, at the
 range and Doppler to which the published height belongs. All scenes go through the core of the pipeline, from images to
-heights, at the geometry of preset sal_spotlight.
+heights, at the geometry of preset sal_spotlight unless the case says otherwise.
 
     python -m benchmarks honest                           every case as rows with targets, into bench.json
     python -m benchmarks.honest                           every case as a line of a table, for people
@@ -21,7 +21,7 @@ from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from functools import lru_cache, partial
 from itertools import groupby
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from cyclopts import App, Parameter
@@ -36,11 +36,8 @@ from sal_height.numeric import error_statistics, fraction_of
 from sal_height.pipeline import heights
 from sal_height.relief import HeightField
 from sal_height.runs.truth.comparison import FOUND_ORDERS, TRUE_ORDERS, SurfaceComparison, compare
-from sal_height.simulation import Scene
+from sal_height.simulation import Scene, load_preset
 from sal_height.simulation.lit_surfaces import CONNECTED, LitSurfaces, lit_surfaces
-
-ROWS = 184
-"""Of an image before looks are averaged: the range window, as in preset sal_spotlight."""
 
 PIXELS = sized(40_000, 1_000)
 """Height pixels of a case; fewer where looks would make its image longer than MOST_COLS."""
@@ -63,6 +60,8 @@ class Case:
         pattern: pattern of the beams.
         detectors: number of detectors of the array.
         size: size of a detector along and across the axis of the array, beamwidths.
+        look_angle: angle from nadir of the middle of the array, rad.
+        preset: name of the preset of the lidar.
     """
 
     name: str
@@ -73,15 +72,31 @@ class Case:
     pattern: str = "jinc"
     detectors: int = 16
     size: tuple[float, float] = (0.0, 0.0)
+    look_angle: float = np.pi / 4
+    preset: str = "sal_spotlight"
 
-    def cols(self, pixels: int) -> int:
-        """Columns, before looks are averaged, of an image with about that number of height pixels."""
-        per_pixel = self.looks[0] * self.looks[1]
-        return min(MOST_COLS, pixels * per_pixel // ROWS) // self.looks[1] * self.looks[1]
+    def images(self, pixels: int) -> ImageInput:
+        """Input of its images, which show about that number of height pixels."""
+        rows, per_pixel = load_preset(self.preset).image.rows, self.looks[0] * self.looks[1]
+        cols = min(MOST_COLS, pixels * per_pixel // rows) // self.looks[1] * self.looks[1]
+        lidar_as = cols, self.pattern, self.detectors, self.size, self.look_angle, self.preset
+        return ImageInput(self.scene, (rows, cols), self.range_window, lidar_as)
 
-    def images(self, pixels: int) -> tuple[Callable[[], Scene], int, str, str, int, tuple[float, float]]:
-        """Key of the input of its images; cases that differ only in CNR or looks may share them."""
-        return self.scene, self.cols(pixels), self.range_window, self.pattern, self.detectors, self.size
+
+class ImageInput(NamedTuple):
+    """Input of images; cases that differ only in CNR or looks may share it.
+
+    Attributes:
+        scene: makes the ground.
+        shape: rows and columns before looks are averaged.
+        range_window: over the bandwidth.
+        lidar: arguments of `lidar`, the last two of which are its look angle and preset.
+    """
+
+    scene: Callable[[], Scene]
+    shape: tuple[int, int]
+    range_window: str
+    lidar: tuple[int, str, int, tuple[float, float], float, str]
 
 
 def _level_cases() -> Iterator[Case]:
@@ -113,6 +128,20 @@ def _relief_cases() -> Iterator[Case]:
     for detectors in (8, 32):
         yield Case(f"step +1.0 beamwidths {detectors} detectors", partial(scenes.step, 1.0), detectors=detectors)
     yield from (Case(f"fence {cnr} dB", scenes.fence, cnr) for cnr in (20, 30, 40))
+    yield from _street_cases()
+
+
+def _street_cases() -> Iterator[Case]:
+    """The street: at low CNR, with many looks, in stripmap and under a steep look."""
+    street = scenes.street
+    yield from (Case(f"street {cnr} dB", street, cnr) for cnr in (3, 10, 20, 30))
+    yield from (Case(f"street K {looks[0]}x{looks[1]}", street, looks=looks) for looks in ((4, 12), (1, 20)))
+    for cnr in (10, 20):
+        yield Case(
+            f"street stripmap {cnr} dB", street, cnr, (1, 16), pattern="sinc", detectors=8, preset="sal_stripmap"
+        )
+    for name, scene in (("level", scenes.level), ("street", street), ("step +1.0", partial(scenes.step, 1.0))):
+        yield Case(f"{name} look angle 20 deg", scene, look_angle=np.radians(20))
 
 
 CASES = (*_level_cases(), *_relief_cases())
@@ -145,7 +174,7 @@ def measured(
     case: Case, estimator: str = "ml", pixels: int = PIXELS, **settings: Any
 ) -> tuple[HeightField, LitSurfaces, DirectImages]:
     """Height image of a case, what it should show, and the images that it was made of."""
-    images = _images(*case.images(pixels))
+    images = _images(case.images(pixels))
     entry = ESTIMATORS[estimator]
     chosen = entry.settings(**{"range_looks": case.looks[0], "azimuth_looks": case.looks[1], **settings})
     field = heights(images.slc(case.cnr_db), images.sensor, entry, chosen)
@@ -157,17 +186,10 @@ def measured(
 
 
 @lru_cache(maxsize=1)
-def _images(
-    scene: Callable[[], Scene],
-    cols: int,
-    range_window: str,
-    pattern: str,
-    detectors: int,
-    size: tuple[float, float],
-) -> DirectImages:
-    sensor = lidar(cols, pattern, detectors, size)
-    processing = Processing(range_window, ImageSettings().azimuth_window)
-    return direct_images(scene(), sensor, (ROWS, cols), processing, np.random.default_rng(SEED))
+def _images(of: ImageInput) -> DirectImages:
+    processing, rng = Processing(of.range_window, ImageSettings().azimuth_window), np.random.default_rng(SEED)
+    look_angle, preset = of.lidar[-2:]
+    return direct_images(of.scene(), lidar(*of.lidar), of.shape, processing, rng, look_angle, preset)
 
 
 @dataclass(frozen=True)

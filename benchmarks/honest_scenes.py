@@ -12,6 +12,7 @@ from scipy.ndimage import gaussian_filter
 
 from sal_height.numeric import F64
 from sal_height.simulation import Scene
+from sal_height.simulation import scenes as simulation
 
 HALF_LENGTH = 60.0
 """Half the extent of a scene along the flight, m; images are at most 100 m long."""
@@ -95,6 +96,11 @@ def fence(height: float = 2.0, length: float = 0.6, thickness: float = 0.06) -> 
     east, north = _nodes(0.02, 0.02)
     board = (np.abs(north[:, None] - 1.0) <= thickness / 2) & (east % (2 * length) < length)
     return _scene("fence", np.where(board, height, 0.0), north, east)
+
+
+def street() -> Scene:
+    """The built-in street, as long as the other scenes: kerbs, steps, parked cars and a wall."""
+    return simulation.street(2 * HALF_LENGTH)
 
 
 SCENES: dict[str, Callable[[], Scene]] = {"roofs": roofs, "rubble": rubble, "forest": forest, "canopy": canopy}

@@ -40,6 +40,8 @@ NUMBERS_KEPT = 2**20
 def foreign_power(power: F64, mean_power: F64, noise: float, down: AxisLooks, across: AxisLooks, deviation: F64) -> F64:
     """Expected power of scatterers elsewhere in each pixel, mean of its looks, shape of `mean_power`.
 
+    It is that of sidelobes, and in dark pixels at the edge of a shadow that of the main lobes of brighter neighbours.
+
     Args:
         power: power of each sample over all channels, shape (rows, cols) of samples.
         mean_power: power of each pixel, mean of its looks, shape (rows, cols) of pixels.
@@ -58,9 +60,16 @@ def foreign_power(power: F64, mean_power: F64, noise: float, down: AxisLooks, ac
     signal = np.maximum(power - noise, 0.0)
     near = mean(signal, down.leakage.near, across.leakage.near)
     of_neighbours = near - mean(signal, down.leakage.own, across.leakage.own)
-    sidelobes = mean(signal, down.leakage.whole, across.leakage.whole) - near
-    edge = is_edge_of_shadow(mean_power - noise, down, across, deviation)
-    return np.maximum(sidelobes, 0.0) + np.where(edge, np.maximum(of_neighbours, 0.0), 0.0)
+    sidelobes = np.maximum(mean(signal, down.leakage.whole, across.leakage.whole) - near, 0.0)
+    # Ground as bright as the pixel itself goes on beside it: only what brighter neighbours add to it is foreign.
+    own = np.multiply.outer(down.leakage.own.sums, across.leakage.own.sums) / sums
+    beside = np.multiply.outer(down.leakage.near.sums, across.leakage.near.sums) / sums - own
+    received = mean_power - noise
+    brightness = np.maximum(received - of_neighbours, 0.0) / own
+    foreign = sidelobes + np.maximum(of_neighbours - beside * brightness, 0.0)
+    # Where at most a quarter may be foreign, a scatterer that stands out is in the pixel: a wall, roof or kerb.
+    edge = is_edge_of_shadow(received, down, across, deviation) & (foreign > 0.25 * received)
+    return np.where(edge, foreign, sidelobes)
 
 
 def is_edge_of_shadow(power: F64, down: AxisLooks, across: AxisLooks, deviation: F64) -> Bool:
@@ -164,9 +173,9 @@ class Looks:
             Real beams need no more (a^T R a = a^T Re(R) a for any real a).
         squint: squint of each column, shape (cols,), rad.
         noise_powers: E|n|^2 of the receivers' noise of one look in each channel, shape (channels,).
-        floor: factor by which scatterers in other pixels raise the noise power of a pixel by their sidelobes, and at
-            the edge of a shadow by their main lobes; 1 or more, shape (rows, cols). All their power counts, as it may
-            be at one elevation.
+        floor: factor by which scatterers in other pixels raise the noise power of a pixel by their sidelobes, and in
+            dark pixels at the edge of a shadow by their main lobes; 1 or more, shape (rows, cols). All their power
+            counts, as it may be at one elevation.
         count: effective number of looks K = (sum w)^2 / sum w_i w_j |rho_ij|^2, shape (rows, cols), rho the correlation
             of the noise, and of the speckle, of two looks; sum w^2 below if they are independent. The weights w are
             scaled to have the sum K: mean and variance of the noise are then those of K independent looks.

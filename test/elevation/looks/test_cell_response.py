@@ -172,7 +172,7 @@ def test_a_bright_pixel_raises_the_floor_around_it_and_not_its_own() -> None:
     np.testing.assert_allclose(looks.noise_power, 4 * looks.floor)
 
 
-def test_the_first_pixel_of_a_shadow_has_a_floor_of_main_lobes_and_level_ground_has_not() -> None:
+def test_the_first_pixel_of_a_shadow_has_a_floor_of_main_lobes_and_lit_ground_has_not() -> None:
     """2 x 2 looks at 40 dB: shadow from column 30 on, whose first columns hold the main lobes of those before."""
     rng = np.random.default_rng(9)
     power = np.where(np.arange(60) < 30, 1e4, 0.0)
@@ -185,3 +185,5 @@ def test_the_first_pixel_of_a_shadow_has_a_floor_of_main_lobes_and_level_ground_
     assert np.median(4 * (edge - 1) / signal[1:-1, 15]) > 0.5
     assert np.mean(4 * (ground - 1) > 0.1 * 2e4) < 0.02
     assert np.median(4 * (inner - 1)) < 0.01 * 2e4
+    last_lit = looks.floor[1:-1, 14]
+    assert np.mean(4 * (last_lit - 1) > 0.1 * 2e4) < 0.1

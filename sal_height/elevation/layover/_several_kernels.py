@@ -212,16 +212,16 @@ def weigh_together(
     squints: Index,
     positions: F64,
     tables: tuple[Numbers, F32],
-    found: tuple[F64, F64, Numbers, Numbers, Numbers, Numbers, Numbers],
+    found: tuple[F64, F64, F64, Numbers, Numbers, Numbers, Numbers, Numbers],
 ) -> None:
     """Products of unit responses U, their slopes and R for scatterers at known positions, (pixels, S).
 
     `squints` are the numbers of the pixels' squints, and `tables` the pieces of unit responses and of |a|^2 at all
-    squints. `found` is filled with the power that they explain, (pixels,); |a|^2, (pixels, S); U^H U; its inverse;
-    U^H R U; the sums of products of the fitted amplitudes; and those of the slopes' parts perpendicular to U, per step
-    of the table squared, all (pixels, S, S).
+    squints. `found` is filled with the power that they explain, (pixels,); |a|^2, and the power along the slopes' parts
+    perpendicular to U, (pixels, S); U^H U; its inverse; U^H R U; the sums of products of the fitted amplitudes; and
+    those of the slopes' parts perpendicular to U, per step of the table squared, all (pixels, S, S).
     """
-    explained, powers, grams, inverses, seen, fitted, turning = found
+    explained, powers, along, grams, inverses, seen, fitted, turning = found
     count, size, kind = positions.shape[1], matrices.shape[1], matrices.dtype
     vectors, squares, output = np.empty((4, count, size), kind), np.empty((2, count, count), kind), np.empty(size, kind)
     units, slopes, basis, rows = vectors[0], vectors[1], vectors[2], vectors[3]
@@ -247,6 +247,8 @@ def weigh_together(
         for s in range(count):
             for r in range(count):
                 turning[i, s, r] = inner(slopes[s], slopes[r])
+            multiply(matrices[i], slopes[s], output)
+            along[i, s] = inner(slopes[s], output).real / max(turning[i, s, s].real, 1e-300)
 
 
 @compiled

@@ -25,7 +25,7 @@ from sal_height.elevation.layover.order import (
     log_probabilities,
 )
 from sal_height.elevation.layover.several import SeveralScatterers, search_several
-from sal_height.elevation.layover.single import LayoverSettings, SingleScatterers
+from sal_height.elevation.layover.single import LayoverSettings, SingleScatterers, spread_around, surface_deviation
 from sal_height.elevation.looks.looks import Looks
 from sal_height.numeric import F32, F64, Index, in_threads
 
@@ -55,6 +55,7 @@ def resolve(
     row, col = np.nonzero(looks.finite & single.suspicious)
     here = row, col
     models = fit_models(here, single, evidence, looks, beams)
+    models.add_surfaces(here, single, looks)
     evidence[here] = models.evidence.T
     chances = log_probabilities(evidence, here, looks.columns)
     chosen = _chosen(models, chances[here].T, here, single, looks, beams, settings)
@@ -167,6 +168,8 @@ class Models:
         explained: power, sum over looks, over the raised noise power, (ORDERS, pixels).
         directions: number of dimensions of the channels in which they may explain a look, (ORDERS, pixels).
         evidence: log-evidence against no scatterer, (ORDERS, pixels).
+        along_slopes: power along the slopes of two or three scatterers beyond that of level ground, and the same power
+            of surfaces whose spread is 1 rad, sums over the scatterers, (2, ORDERS, pixels).
     """
 
     elevation: F64
@@ -176,6 +179,7 @@ class Models:
     explained: F64
     directions: F64
     evidence: F64
+    along_slopes: F64
 
     @classmethod
     def of_single(cls, single: SingleScatterers, evidence: F64, looks: Looks, here: tuple[Index, Index]) -> Self:
@@ -190,20 +194,28 @@ class Models:
         pixels, spread, point, peaks = len(here[0]), single.spread, single.estimate.first, single.peaks
         elevation, sigma, cnr, width = np.full((4, ORDERS, pixels, MOST), np.nan)
         elevation[[ONE, SPREAD], :, 0], cnr[[ONE, SPREAD], :, 0] = point.elevation[here], point.cnr[here]
-        sigma[ONE, :, 0] = np.hypot(point.sigma, spread.deviation(spread.around, looks))[here]
+        sigma[ONE, :, 0] = np.hypot(point.sigma, surface_deviation(spread.around, looks))[here]
         widest = np.maximum(spread.own, spread.around)
-        sigma[SPREAD, :, 0] = np.hypot(point.sigma, spread.deviation(widest, looks))[here]
+        sigma[SPREAD, :, 0] = np.hypot(point.sigma, surface_deviation(widest, looks))[here]
         width[ONE, :, 0], width[SPREAD, :, 0] = 0.0, spread.own[here]
         explained, directions = np.zeros((ORDERS, pixels)), np.zeros((ORDERS, pixels))
         directions[ONE:] = np.array([1.0, 2.0, 3.0, 2.0])[:, None]
         explained[ONE], explained[SPREAD] = peaks.explained[here], (peaks.explained + peaks.along_slope)[here]
-        return cls(elevation, sigma, cnr, width, explained, directions, evidence[here].T.copy())
+        along = np.zeros((2, ORDERS, pixels))
+        return cls(elevation, sigma, cnr, width, explained, directions, evidence[here].T.copy(), along)
 
     def add_several(
-        self, several: SeveralScatterers, raised: F64, uncertainty: float, evidence: F64, part: Index
+        self,
+        several: SeveralScatterers,
+        raised: F64,
+        uncertainty: float,
+        evidence: F64,
+        along_slopes: tuple[F64, F64],
+        part: Index,
     ) -> None:
         """Enter two or three scatterers of the pixels `part`, fitted in noise that is `raised` over the receivers'."""
         count = several.elevation.shape[1]
+        self.along_slopes[:, count, part] = along_slopes
         here = count, part, slice(count)
         self.elevation[here], self.cnr[here] = several.elevation, raised[:, None] * several.power
         self.sigma[here] = np.hypot(several.sigma, several.deviation_by_beams(uncertainty))
@@ -218,6 +230,21 @@ class Models:
         self.elevation[here], self.spread[here], cnr = surfaces.found
         self.sigma[here], self.cnr[here] = surfaces.sigma, raised * cnr
         self.explained[SPREAD, part], self.directions[SPREAD, part] = explained
+
+    def add_surfaces(self, here: tuple[Index, Index], single: SingleScatterers, looks: Looks) -> None:
+        """Add to the sigma of several scatterers that of surfaces as much spread as those around them.
+
+        Args:
+            here: rows and columns of the pixels.
+            single: scatterers of all pixels.
+            looks: covariance of the pixels.
+        """
+        gains = np.diff(self.explained[ONE : THREE + 1], axis=0)
+        for order, gain in zip((TWO, THREE), gains, strict=True):
+            along = np.zeros((2, *looks.count.shape))
+            along[:, *here] = np.where(gain > single.levels.several[here], self.along_slopes[:, order], 0.0)
+            deviation = surface_deviation(spread_around(along[0], along[1], looks), looks)[here]
+            self.sigma[order] = np.hypot(self.sigma[order], deviation[:, None])
 
     def scatterers(
         self, chosen: Index, probability: F64, span: tuple[float, float], least_cnr: float, greatest_sigma: float
@@ -284,6 +311,7 @@ def fit_models(
         beams: beams of the M detectors.
     """
     models = Models.of_single(single, evidence, looks, here)
+    level_spread = np.broadcast_to(looks.level_spread, looks.count.shape)
     searches = PeakSearches.over(beams, OBJECTIVES["normalised"], search_guard(beams))
     blocks = searches.blocks(looks.squint, here[1], PIXELS_AT_ONCE)
 
@@ -291,7 +319,7 @@ def fit_models(
         part = block.items
         pixels = here[0][part], here[1][part]
         suspects = Suspects.at(pixels, single.noise.raised[pixels], looks, beams, searches.of(block))
-        _fit_several(models, part, pixels, suspects, single, beams)
+        _fit_several(models, part, pixels, suspects, single, level_spread[pixels], beams)
         _fit_extended(models, part, pixels, suspects, single, beams)
 
     # A thread that is done takes the next block: blocks differ in the number of pixels, and pixels in their models.
@@ -300,9 +328,16 @@ def fit_models(
 
 
 def _fit_several(
-    models: Models, part: Index, pixels: tuple[Index, Index], suspects: Suspects, single: SingleScatterers, beams: Beams
+    models: Models,
+    part: Index,
+    pixels: tuple[Index, Index],
+    suspects: Suspects,
+    single: SingleScatterers,
+    level_spread: F64,
+    beams: Beams,
 ) -> None:
     """Fit more scatterers to the pixels `part` of the models, as long as one more explains enough."""
+    greatest = 2 * single.levels.spread[pixels] / single.noise.along_slope[pixels]  # power beyond is of one more
     peaks, domain, looks = single.peaks, float(np.ptp(beams.span)), suspects.looks
     turning, tried, raised = peaks.turning[pixels], single.levels.tried[pixels], single.noise.raised[pixels]
     some, start = np.arange(len(part)), peaks.elevation[pixels][:, None]
@@ -319,7 +354,8 @@ def _fit_several(
             these = these.of(np.flatnonzero(climbed))
             several = SeveralScatterers.at(these.search, these.covariance, these.looks, start)
             weighed = log_evidence_of_several(several, domain)
-            models.add_several(several, raised[some], beams.uncertainty, weighed, part[some])
+            along = several.along_surfaces(level_spread[some], greatest[some])
+            models.add_several(several, raised[some], beams.uncertainty, weighed, along, part[some])
 
 
 def _fit_extended(

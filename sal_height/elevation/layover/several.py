@@ -38,6 +38,7 @@ class SeveralScatterers:
         elevation: angles from nadir, (pixels, S), rad.
         explained: power f, sum over looks, in noise powers, (pixels,).
         array_power: |a|^2 at the elevations, (pixels, S).
+        along_slopes: power along the part of each slope that is perpendicular to all responses, (pixels, S).
         gram: U^H U, (pixels, S, S).
         inverse: (U^H U)^-1, (pixels, S, S).
         seen: U^H R U, (pixels, S, S).
@@ -49,6 +50,7 @@ class SeveralScatterers:
     elevation: F64
     explained: F64
     array_power: F64
+    along_slopes: F64
     gram: Numbers
     inverse: Numbers
     seen: Numbers
@@ -61,11 +63,11 @@ class SeveralScatterers:
         """Fit scatterers at known elevations (rad, (pixels, S)); the other arguments are those of `search_several`."""
         pixels, count = elevation.shape
         tables = search.tables
-        explained, power = np.empty(pixels), np.empty((pixels, count))
+        explained, (power, along) = np.empty(pixels), np.empty((2, pixels, count))
         gram, inverse, seen, fitted, turning = products = np.empty((5, pixels, count, count), covariance.dtype)
         pieces, squints = (tables.unit_pieces, tables.power), search.every(pixels)
-        weigh_together(covariance, squints, search.position(elevation), pieces, (explained, power, *products))
-        return cls(elevation, explained, power, gram, inverse, seen, fitted, turning / tables.step**2, looks)
+        weigh_together(covariance, squints, search.position(elevation), pieces, (explained, power, along, *products))
+        return cls(elevation, explained, power, along, gram, inverse, seen, fitted, turning / tables.step**2, looks)
 
     @cached_property
     def power(self) -> F64:
@@ -94,6 +96,22 @@ class SeveralScatterers:
         own = np.maximum(self.power, 1e-300)
         slopes = np.diagonal(self.turning, axis1=1, axis2=2).real * self.array_power
         return uncertainty * np.sqrt(np.maximum(own.sum(axis=1, keepdims=True) / own, 1.0) / (2 * slopes))
+
+    def along_surfaces(self, level_spread: F64, greatest: F64) -> tuple[F64, F64]:
+        """Power along the slopes beyond that of level ground, and of surfaces whose spread is 1 rad, (pixels,).
+
+        Both are sums over the scatterers and looks, in noise powers.
+
+        Args:
+            level_spread: standard deviation of elevation within a pixel on level ground, (pixels,), rad.
+            greatest: power along the slope of one scatterer that is counted at most, over that of level ground.
+        """
+        free = self.looks[:, None] - 0.5
+        turning = np.diagonal(self.turning, axis1=1, axis2=2).real
+        unit = np.maximum(self.power * self.array_power, 0.0) * turning
+        level = 1 + unit * level_spread[:, None] ** 2
+        along = np.minimum(self.along_slopes, greatest[:, None] * level)
+        return np.sum(along - free * level, axis=1), np.sum(free * unit, axis=1)
 
     def information(self) -> F64:
         """Fisher information F of the elevations, 1/rad^2, (pixels, S, S)."""

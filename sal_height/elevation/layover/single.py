@@ -155,15 +155,26 @@ class Spread:
         free = np.where(looks.finite, free_looks(looks.count), 0.0)
         along = np.where(looks.finite, np.minimum(peaks.along_slope, 2 * levels.spread), 0.0)
         excess, unit = along - free * noise.along_slope, np.where(looks.finite, free * power * peaks.turning, 0.0)
-        pooled, units = looks.columns.mean_of_neighbours(np.stack([excess, unit]), NEIGHBOURS)
-        around = np.divide(np.maximum(pooled, 0.0), units, where=units > 0, out=np.zeros_like(units))
         level = noise.along_slope
         own = spread_of(peaks.along_slope / level, looks.count, power / level, peaks.turning)
-        return cls(own, np.sqrt(around))
+        return cls(own, spread_around(excess, unit, looks))
 
-    def deviation(self, spread: F64, looks: Looks) -> F64:
-        """Standard deviation of the middle of a surface of this spread at the range of its height, rad."""
-        return spread * np.sqrt(looks.unplaced / (2 * np.maximum(looks.count, 1.0)))
+
+def spread_around(excess: F64, unit: F64, looks: Looks) -> F64:
+    """Mean spread of the surfaces in a square of NEIGHBOURS pixels around each, rad, (rows, cols).
+
+    Args:
+        excess: power along the slopes of the responses beyond that of noise and of level ground, (rows, cols).
+        unit: the same power of surfaces whose spread is 1 rad.
+        looks: covariance of the pixels.
+    """
+    pooled, units = looks.columns.mean_of_neighbours(np.stack([excess, unit]), NEIGHBOURS)
+    return np.sqrt(np.divide(np.maximum(pooled, 0.0), units, where=units > 0, out=np.zeros_like(units)))
+
+
+def surface_deviation(spread: F64, looks: Looks) -> F64:
+    """Standard deviation of the middle of a surface of this spread at the range of its height, rad, (rows, cols)."""
+    return spread * np.sqrt(looks.unplaced / (2 * np.maximum(looks.count, 1.0)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -224,5 +235,5 @@ class SingleScatterers:
         """
         likely = probability[..., ONE] + probability[..., TWO] + probability[..., SPREAD]
         of_two = probability[..., TWO] / np.maximum(likely, 1e-300)
-        on_surface = self.spread.deviation(self.spread.around, looks)
+        on_surface = surface_deviation(self.spread.around, looks)
         return np.sqrt(self.estimate.sigma**2 + on_surface**2 + of_two * self.spread.own**2)

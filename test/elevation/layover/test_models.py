@@ -55,7 +55,7 @@ def test_scatterers_are_chosen_as_in_numpy() -> None:
     for part in (elevation, sigma, cnr, spread):
         part[np.broadcast_to(fewer, part.shape)] = np.nan
     rest = np.zeros((5, pixels))
-    models = Models(elevation, sigma, cnr, spread, rest, rest, rest)
+    models = Models(elevation, sigma, cnr, spread, rest, rest, rest, np.zeros((2, 5, pixels)))
     taken, probability = rng.integers(0, 5, pixels), rng.dirichlet(np.ones(5), pixels)
     found, inside, count = models.scatterers(taken, probability, (0.1, 0.9), 0.1, 0.8)
     expected = chosen_in_numpy(models, taken, probability, (0.1, 0.9, 0.1, 0.8))

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from benchmarks.direct_images import image_of, spectrum_of
-from benchmarks.honest import CASES, Summary, case_named, compared
+from benchmarks.honest import CASES, LitScatterers, Summary, case_named, compared, measured
 from sal_height.imaging.focus import ImageSettings, focus_dwell
 from sal_height.imaging.pixels import Processing
 from sal_height.sensor.sensor import PhaseHistory
@@ -50,3 +52,22 @@ def test_level_ground_keeps_its_promise_and_a_case_is_found_by_the_beginning_of_
     assert result.right_order > 0.99
     assert case_named("fence 40").cnr_db == 40
     assert len({case.name for case in CASES}) == len(CASES)
+
+
+def test_heights_in_a_forest_are_those_of_lit_scatterers_and_random_ones_are_not() -> None:
+    field, truth, images = measured(case_named("forest"), pixels=2000)
+    found = LitScatterers.of(field, truth, images.sensor.beams)
+    assert found.beyond_5 < 0.005
+    assert found.by_chance > 0.8
+    first = field.first
+    raised = replace(field, surfaces=(replace(first, height=first.height + 100.0),))
+    assert LitScatterers.of(raised, truth, images.sensor.beams).beyond_5 == 1
+
+
+def test_cases_of_other_presets_and_look_angles_have_their_own_geometry() -> None:
+    """The pixels of the stripmap preset are 8 cm long, from 16 looks; 20 degrees from nadir the array looks down."""
+    strip, steep = (measured(case_named(name), pixels=600) for name in ("street stripmap 20", "level look angle 20"))
+    assert strip[0].grid.col_spacing == pytest.approx(16 * 0.005 * 1.0, rel=0.3)
+    assert strip[2].sensor.detector_count == 8
+    assert np.mean(steep[2].sensor.beams.span) == pytest.approx(np.radians(20), abs=1e-3)
+    assert np.nanmedian(np.abs(steep[0].first.height)) < 0.05

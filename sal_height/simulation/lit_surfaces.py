@@ -43,6 +43,8 @@ class LitSurfaces:
         received: power that the array receives of it over that of the strongest surface in the pixel, same shape.
         inside: True where the elevation is between the first boresight of the array and the last, same shape.
         rise: rise of the plane through its scatterers along the flight, at one range, m/m, same shape.
+        lowest: height of the lowest of its scatterers over that plane, 0 or less, m, same shape.
+        highest: height of the highest of its scatterers over that plane, m, same shape.
     """
 
     height: F64
@@ -52,6 +54,8 @@ class LitSurfaces:
     received: F64
     inside: Bool
     rise: F64
+    lowest: F64
+    highest: F64
 
     def columns(self, first: int, count: int) -> LitSurfaces:
         """Those of some columns of pixels."""
@@ -123,7 +127,10 @@ def lit_surfaces(
     place = places[scatterer]
     middle = np.stack([total(weight * part) for part in place.T], axis=-1) / power[:, None]
     off = place - middle[label]
-    slope, reach = _plane(off, surface.heights[scatterer] - height[label], weight, label)
+    higher = surface.heights[scatterer] - height[label]
+    slope, reach = _plane(off, higher, weight, label)
+    above, start = higher - np.sum(slope[label] * off, axis=-1), np.flatnonzero(starts)
+    lowest, highest = (bound.reduceat(above, start) if len(start) else above for bound in (np.minimum, np.maximum))
     if seen is not None:
         asked = np.stack(_places(seen, aperture, grid), axis=-1).reshape(-1, 2)[pixel[starts]]
         height += np.sum(slope * np.clip(np.nan_to_num(asked - middle), -reach, reach), axis=-1)
@@ -150,6 +157,8 @@ def lit_surfaces(
         received=strength / strength[0],
         inside=placed(inside.astype(np.float64)) == 1,
         rise=placed(slope[:, 1]) / grid.col_spacing,
+        lowest=placed(lowest),
+        highest=placed(highest),
     )
 
 

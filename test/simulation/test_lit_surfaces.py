@@ -56,6 +56,21 @@ def test_level_ground_is_one_surface_of_power_one() -> None:
     assert not truth.shadow.any()
 
 
+def test_lowest_and_highest_scatterers_are_those_over_the_plane_of_the_surface() -> None:
+    """On level ground and on a slope all scatterers are in the plane; a kerb of 6 cm has all heights in between."""
+    for top in (0.0, 1.0):
+        truth, _, _ = truth_of(profile([-20.0, 20.0], [0.0, top]))
+        np.testing.assert_allclose(np.stack([truth.lowest[0], truth.highest[0]]), 0.0, atol=2e-3)
+    kerb, _, _ = truth_of(profile([-20.0, -1e-3, 0.0, 20.0], [0.06, 0.06, 0.0, 0.0]))
+    assert np.nanmax(kerb.highest[0] - kerb.lowest[0]) == pytest.approx(0.06, abs=0.02)
+    there = np.isfinite(kerb.highest)
+    heights = np.stack([kerb.height + kerb.lowest, kerb.height + kerb.highest])[:, there]
+    assert heights.min() > -0.03
+    assert heights.max() < 0.09
+    assert np.all(kerb.lowest[there] <= 1e-9)
+    assert np.all(kerb.highest[there] >= -1e-9)
+
+
 @pytest.mark.parametrize("height", [0.8, 1.2, 2.0])
 def test_wall_lays_three_surfaces_over_each_other_from_the_range_of_its_top_to_that_of_its_foot(height: float) -> None:
     """Their heights at a range in between follow from the geometry of a plane: ground, face and roof."""

@@ -26,7 +26,9 @@ def truth_of(*heights: tuple[float, ...], wide: bool = False) -> LitSurfaces:
         values[: len(entry), 0, col] = entry
     received = np.where(np.isfinite(values), np.array([1.0, 1 / 3, 1 / 3])[:, None, None], NAN)
     spread = np.where(np.isfinite(values), 0.2 * BEAMWIDTH * wide, NAN)
-    return LitSurfaces(values, 0 * values, spread, received, received, np.isfinite(values), 0 * values)
+    return LitSurfaces(
+        values, 0 * values, spread, received, received, np.isfinite(values), 0 * values, 0 * values, 0 * values
+    )
 
 
 def field_of(validity: list[Validity], *heights: list[float], sigma: float = 0.1) -> HeightField:

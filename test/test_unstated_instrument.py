@@ -76,6 +76,7 @@ def beyond(sigmas: float, stated: UncertaintySettings, **errors: Any) -> float:
     [
         ("boresight_rad", {"undescribed_boresight_rad": (1e-3, 0.0, 0.0)}),
         ("lever_arm_m", {"undescribed_lever_arm_m": (0.0, 0.0, 0.05)}),
+        ("lever_arm_m", {"undescribed_lever_arm_m": (0.0, 0.1, 0.3)}),
         ("range_delay_m", {"delay_m": 0.1}),
         ("range_delay_m", {"delay_m": 0.3}),
         ("beam_pitch", {"pitch": 0.02, "cnr_db": 30.0}),
@@ -106,7 +107,7 @@ def test_nothing_is_assumed_where_a_description_states_that_it_is_exact(slcs: tu
     assert np.array_equal(assumed.images, exact.images)
     (doubt,) = assumed.doubts
     assert doubt.name == INSTRUMENT
-    for part in ("boresight 0.001 rad", "lever arm 0.02 m", "range delay 0.15 m", "odometry 0.001 s", "clock 2e-06"):
+    for part in ("boresight 0.001 rad", "lever arm 0.1 m", "range delay 0.15 m", "odometry 0.001 s", "clock 2e-06"):
         assert part in doubt.sentence
     for parameter in ("boresight_sigma_rad", "lever_arm_sigma_m", "range_sigma_m", "sample_clock_sigma"):
         assert parameter in doubt.sentence
@@ -117,7 +118,7 @@ def test_what_is_assumed_are_shifts_and_turns_of_an_instrument_that_nobody_calib
     aperture, sensor = assumed.aperture, described(NOTHING)
     sight, flight = line_of_sight(sensor, aperture), aperture.velocity
     along = 0.15**2 + (2e-6 * np.linalg.norm(assumed.grid.middle - aperture.position)) ** 2
-    expected = 0.02**2 * np.eye(3) + along * np.outer(sight, sight) + 1e-3**2 * np.outer(flight, flight)
+    expected = 0.1**2 * np.eye(3) + along * np.outer(sight, sight) + 1e-3**2 * np.outer(flight, flight)
     # The boresight is off by many of the angles that the Doppler of pulses gives the beams along the flight.
     reach = np.linalg.norm(assumed.grid.middle - aperture.position) * shift_along(aperture, sight)
     expected += 1e-3**2 * np.outer(reach, reach)

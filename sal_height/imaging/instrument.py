@@ -17,9 +17,10 @@ from sal_height.numeric import F64
 from sal_height.sensor import AS_DESCRIBED, Sensor, StandardDeviation, deviation_of
 from sal_height.settings import Settings, setting
 
-BORESIGHT_RAD, LEVER_ARM_M, ODOMETRY_DELAY_S, SAMPLE_CLOCK = 1e-3, 0.02, 1e-3, 2e-6
-"""Standard deviations of an instrument that nobody has calibrated: boresight by a mechanic's alignment, lever arm by a
-tape, stamps by a computer, clock by a crystal."""
+BORESIGHT_RAD, LEVER_ARM_M, ODOMETRY_DELAY_S, SAMPLE_CLOCK = 1e-3, 0.1, 1e-3, 2e-6
+"""Standard deviations of an instrument that nobody has calibrated: boresight by a mechanic's alignment, lever arm
+between housings rather than phase centres (a tape between marked points gives 2 cm), stamps by a computer, clock by a
+crystal."""
 
 RANGE_DELAY_M = 0.15
 """The same of the delay of echoes, as of half a metre of cable; one range cell where that is more."""

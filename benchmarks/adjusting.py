@@ -122,7 +122,7 @@ def of_boresight(preset: Preset, errors: F64, covariances: F64, text: str) -> It
     for (name, axis), bound, most in zip(axes.items(), bounds, (2.0, 1.2), strict=True):
         error, sigma = errors @ axis, np.sqrt(np.einsum("i,fij,j->f", axis, covariances, axis))
         beside = f"{text}; stated {1e6 * sigma.mean():.1f}, attitude alone leaves {1e6 * bound:.1f}"
-        yield Row(f"boresight {name}", 1e6 * float(root_mean_square(error)), "urad", "<= 15", beside)
+        yield Row(f"boresight {name}", 1e6 * float(root_mean_square(error)), "urad", "<= 10", beside)
         z = float(root_mean_square(error / sigma))
         yield Row(f"boresight {name}, over what is stated", z, "1", "<= 1.5", text)
         yield Row(f"boresight {name}, stated over attitude alone", float(sigma.mean()) / bound, "1", f"<= {most}", text)

@@ -22,7 +22,7 @@ import numpy as np
 from benchmarks import honest_scenes as scenes
 from benchmarks.direct_images import DirectImages, direct_images, lidar
 from benchmarks.row import Row, sized
-from sal_height.elevation import ESTIMATORS
+from sal_height.elevation import ESTIMATORS, HeightSettings
 from sal_height.elevation.fit.noise_level import NOISE_LEVEL
 from sal_height.imaging import ImageSettings, Processing, Slc
 from sal_height.numeric import C64, F64
@@ -62,16 +62,35 @@ class Fault(NamedTuple):
     Attributes:
         noise_db: noise power over the stated one, dB.
         gain_db: gain of each channel, dB; one for all.
+        alike_db: power of interference that is alike in all channels, over the stated noise, dB.
+        correlation: that of the noise of neighbouring channels.
+        over_range_db: gain of signal and noise at the last range, and its inverse at the first, dB; the mean power of
+            the noise is the stated one.
+        pitch: distance between the beams over the described one.
+        found: least fraction of the dwells at 10 and at 20 dB that should have a doubt, %.
     """
 
     noise_db: float = 0.0
     gain_db: tuple[float, ...] = (0.0,)
+    alike_db: float = -np.inf
+    correlation: float = 0.0
+    over_range_db: float = 0.0
+    pitch: float = 1.0
+    found: tuple[float, float] = (90.0, 90.0)
 
     def of(self, images: DirectImages) -> DirectImages:
-        """Images of a sensor that departs so."""
+        """Images of a sensor that departs so, but for its pitch."""
         gain = np.broadcast_to(10 ** (np.array(self.gain_db) / 20), len(images.echoes)).astype(np.float32)
-        noise = np.float32(10 ** (self.noise_db / 20)) * images.noise
-        return replace(images, echoes=gain[:, None, None] * images.echoes, noise=noise)
+        # Noise of the same spectrum: that of a channel, shifted.
+        alike = 10 ** (self.alike_db / 20) * np.roll(images.noise[0], (ROWS // 5, COLS // 2), axis=(0, 1))
+        # n_m + c n_(m+1) has the correlation c / (1 + c^2).
+        c = 2 * self.correlation / (1 + np.sqrt(1 - 4 * self.correlation**2))
+        noise = (images.noise + c * np.roll(images.noise, 1, axis=0)) / np.sqrt(1 + c * c)
+        ramp = 10 ** (np.linspace(-self.over_range_db, self.over_range_db, images.noise.shape[1]) / 20)
+        ramp = (ramp / np.sqrt(np.mean(ramp**2)))[:, None]
+        noise = ramp * (10 ** (self.noise_db / 20) * noise + alike)
+        echoes = gain[:, None, None] * ramp * images.echoes
+        return replace(images, echoes=echoes.astype(np.complex64), noise=noise.astype(np.complex64))
 
 
 def _only(channel: int, gain_db: float, channels: int = 16) -> tuple[float, ...]:
@@ -79,34 +98,52 @@ def _only(channel: int, gain_db: float, channels: int = 16) -> tuple[float, ...]
 
 
 NONE = Fault()
-FAULTS = {
+FAULTS: dict[str, Fault] = {
     "noise +1 dB": Fault(1.0),
     "noise +3 dB": Fault(3.0),
     "noise +26 dB": Fault(26.0),
     "noise -6 dB": Fault(-6.0),
-    "channel 5 noise only": Fault(gain_db=_only(5, -200.0)),
-    "channel 5 +3 dB": Fault(gain_db=_only(5, 3.0)),
-    "gains 2 dB rms": Fault(gain_db=tuple(2.0 * np.random.default_rng(5).standard_normal(16))),
+    # A wrong gain or pitch is the same in all dwells of a flight, so that a few with a doubt are enough.
+    "channel 5 noise only": Fault(gain_db=_only(5, -200.0), found=(10, 90)),
+    "channel 5 +3 dB": Fault(gain_db=_only(5, 3.0), found=(10, 90)),
+    "gains 2 dB rms": Fault(gain_db=tuple(2.0 * np.random.default_rng(5).standard_normal(16)), found=(10, 90)),
+    "interference -10 dB": Fault(alike_db=-10.0),
+    "interference 0 dB": Fault(alike_db=0.0),
+    "interference +10 dB": Fault(alike_db=10.0),
+    "correlation .3": Fault(correlation=0.3),
+    "gain over range 3 dB": Fault(over_range_db=3.0),
+    "pitch +3 %": Fault(pitch=1.03, found=(0, 25)),
 }
 
 
 def dwells_of(
-    scene: str, fault: Fault, cnr_db: float, looks: tuple[int, int] = (2, 2), detectors: int = 16, dwells: int = DWELLS
+    scene: str,
+    fault: Fault,
+    cnr_db: float,
+    settings: HeightSettings | None = None,
+    detectors: int = 16,
+    dwells: int = DWELLS,
 ) -> list[HeightField]:
     """Heights of dwells of a scene; the fault's noise is in addition to that of the CNR."""
-    images = fault.of(images_of(scene, detectors, dwells))
+    images = fault.of(images_of(scene, detectors, dwells, fault.pitch))
     slc, sensor = images.slc(cnr_db), images.sensor
     parts = [_columns(slc, first) for first in range(0, slc.images.shape[2], COLS)]
     entry = ESTIMATORS["ml"]
-    return heights_of_dwells(parts, sensor, entry, entry.settings(range_looks=looks[0], azimuth_looks=looks[1]))
+    return heights_of_dwells(parts, sensor, entry, settings or entry.settings())
 
 
 @lru_cache(maxsize=1)
-def images_of(scene: str, detectors: int, dwells: int) -> DirectImages:
-    """Images of several dwells side by side."""
+def images_of(scene: str, detectors: int, dwells: int, pitch: float = 1.0) -> DirectImages:
+    """Images of several dwells side by side; the pitch of the beams is over the described one."""
     sensor, processing = lidar(dwells * COLS, detectors=detectors), Processing("taylor", ImageSettings().azimuth_window)
+    boresights = np.array(sensor.elevation_boresights)
+    middle = boresights.mean()
+    stretched = replace(
+        sensor, elevation_boresights=tuple((middle + pitch * (boresights - middle)).tolist()), config_hash=""
+    )
     rng = np.random.default_rng(SEED)
-    return direct_images(SCENES_TRIED[scene](), sensor, (ROWS, dwells * COLS), processing, rng)
+    images = direct_images(SCENES_TRIED[scene](), stretched, (ROWS, dwells * COLS), processing, rng)
+    return replace(images, sensor=sensor)
 
 
 def _columns(slc: Slc, first: int) -> Slc:
@@ -126,12 +163,10 @@ def found() -> Iterator[Row]:
     yield Row("dwells with a false doubt", false, f"of {dwells}", "<= 0", f"{len(SCENES_TRIED)} scenes, {CNR_DB} dB")
     for name, fault in FAULTS.items():
         for scene in ("level", "street"):
-            for cnr_db in (10, 20):
+            for cnr_db, least in zip((10, 20), fault.found, strict=True):
                 fields = dwells_of(scene, fault, cnr_db + max(fault.noise_db, 0.0))
                 share = 100 * float(np.mean([bool(field.doubts) for field in fields]))
-                # A wrong gain is the same in all dwells of a flight, so that a few with a doubt are enough.
-                target = ">= 10" if fault.gain_db != NONE.gain_db and cnr_db < 20 else ">= 90"
-                yield Row(f"{name}: {scene} {cnr_db} dB", share, "%", target, "dwells with a doubt")
+                yield Row(f"{name}: {scene} {cnr_db} dB", share, "%", f">= {least:.0f}", "dwells with a doubt")
     yield cost()
 
 
@@ -140,28 +175,35 @@ def cost() -> Row:
     images = images_of("street", 16, DWELLS)
     entry, sensor, slc = ESTIMATORS["ml"], images.sensor, images.slc(20.0)
     parts = [_columns(slc, first) for first in range(0, slc.images.shape[2], COLS)]
-    spent = [0.0]
+    spent, ratios = [0.0], []
 
     def timed(*arguments: Any) -> DwellFit:
         start = thread_time()
         made = fit_of(*arguments)
-        spent[0] += thread_time() - start
+        spent[0] = thread_time() - start
         return made
 
     with patch.object(dwell, "fit_of", timed):
-        for _ in range(2):  # the first time tables are made
-            spent[0], start = 0.0, process_time()
-            for part in parts:
-                heights_of_dwells([part], sensor, entry, entry.settings())
-            whole = process_time() - start
-    return Row("time of the tests over that of ml", 100 * spent[0] / (whole - spent[0]), "%", "<= 3", "street, 20 dB")
+        for part in parts * sized(8, 2):
+            start = process_time()
+            heights_of_dwells([part], sensor, entry, entry.settings())
+            ratios.append(spent[0] / (process_time() - start - spent[0]))
+    # The first dwells make tables.
+    return Row(
+        "time of the tests over that of ml",
+        100 * float(np.median(ratios)),
+        "%",
+        "<= 3",
+        "median of dwells, street, 20 dB",
+    )
 
 
 def table(names: Sequence[str], detectors: int, looks: tuple[int, int]) -> None:
     """Print level and gains of the null for every scene and CNR."""
     for scene in names or SCENES_TRIED:
         for cnr_db in CNR_DB:
-            fields = dwells_of(scene, NONE, cnr_db, looks, detectors)
+            settings = ESTIMATORS["ml"].settings(range_looks=looks[0], azimuth_looks=looks[1])
+            fields = dwells_of(scene, NONE, cnr_db, settings, detectors)
             levels = np.array([test.size for field in fields for test in field.fit if test.name == NOISE_LEVEL])
             gains = np.array([test.size for field in fields for test in field.fit if test.name != NOISE_LEVEL])
             doubts = [doubt for field in fields for doubt in field.doubts]

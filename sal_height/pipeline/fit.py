@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
+from itertools import chain
 
 import numpy as np
 
 from sal_height.beams import Beams
 from sal_height.doubts import Doubt, FitTest
-from sal_height.elevation import HeightSettings, Looks, Residue
-from sal_height.elevation.fit import channel_gains, noise_level
+from sal_height.elevation import HeightSettings, Looks, Residue, Window
+from sal_height.elevation.fit import channel_gains, noise_level, noise_pattern
+from sal_height.elevation.fit.statistics import FitStatistics
 from sal_height.numeric import Index
 from sal_height.sensor import Sensor
 
@@ -25,11 +27,20 @@ Below the first, less than .2 % of the heights are beyond 5 sigma. The search ta
 channels where it finds nothing else.
 """
 
+GREATEST_OVER_RANGE_DB = 1.0
+"""Noise level of a quarter of the ranges over that of all, or its inverse, beyond which heights are in doubt."""
+
 GREATEST_GAIN = 10 ** (1.5 / 20)
 """Gain of a channel, or its inverse, beyond which heights are in doubt: 1.5 dB."""
 
 NOISE_ONLY = 0.35
 """Gain below which a channel receives next to nothing."""
+
+GREATEST_STRETCH = 0.007
+"""Stretch of the beams beyond which heights are in doubt."""
+
+GREATEST_INTERFERENCE, GREATEST_CORRELATION = 0.04, 0.1
+"""Power alike in all channels over the noise, and correlation of neighbouring channels, that put heights in doubt."""
 
 
 @dataclass(frozen=True)
@@ -48,9 +59,9 @@ class DwellFit:
 def fit_of(
     residue: Residue | None, looks: Looks, beams: Beams, channels: Index, sensor: Sensor, settings: HeightSettings
 ) -> DwellFit:
-    """Tests of the noise level and of the gain of each channel, and doubts.
+    """Tests of a dwell against the description of its sensor, and doubts.
 
-    Gains are not tested where channels are mixtures of detectors. Each test has its FEWEST_CHANNELS.
+    Channels that are mixtures of detectors are tested for their noise level only. Each test has its FEWEST_CHANNELS.
 
     Args:
         residue: fit of a single scatterer to each pixel; None: there is none.
@@ -62,50 +73,137 @@ def fit_of(
     """
     if residue is None or beams.count < noise_level.FEWEST_CHANNELS:
         return DwellFit()
-    repeated = math.prod(max(1.0, len(window.weights) / window.step) for window in settings.windows)
-    level = noise_level.noise_test(residue, looks, beams, repeated)
-    gains: list[FitTest] = []
+    down, across = (settings.range_looks, settings.range_step), (settings.azimuth_looks, settings.azimuth_step)
+    repeated = _repeated(settings.look_window, *down) * _repeated(settings.look_window, *across)
+    found = FitStatistics.of(residue, looks, beams)
+    tests = [noise_level.level_test(found, beams.count, repeated)]
     if beams.count >= channel_gains.FEWEST_CHANNELS and not sensor.is_mixed:
-        gains = channel_gains.gain_tests(residue, looks, beams, channels, repeated)
-    limit = SIGNIFICANCE / (1 + len(gains))
-    # What wrong gains leave of strong scatterers looks like noise.
-    doubts = tuple(_of_gains(gains, limit)) or tuple(_of_noise(level, sensor, limit))
-    return DwellFit((level, *gains), doubts)
+        tests += channel_gains.gain_tests(found, beams, channels, repeated)
+    if beams.count >= noise_pattern.FEWEST_CHANNELS and not sensor.is_mixed:
+        tests.append(noise_level.range_test(found, beams.count, repeated))
+        tests.append(noise_pattern.interference_test(found, beams, repeated))
+        tests.append(noise_pattern.correlation_test(found, beams.count, repeated))
+        if not sensor.detector_rotation:
+            tests.append(channel_gains.stretch_test(found, beams, repeated))
+    significant = [test for test in tests if _is_significant(test, tests)]
+    return DwellFit(tuple(tests), _doubts(significant, sensor) if significant else ())
 
 
-def _of_noise(test: FitTest, sensor: Sensor, limit: float) -> Iterator[Doubt]:
-    """The doubt about the noise level, if it is significant and large."""
-    if not (test.p_value < limit and not QUIETER_DB <= test.size <= LOUDER_DB):
-        return
-    stated = float(np.mean(sensor.noise_power))
-    found = stated * 10 ** (test.size / 10)
-    side, heights = ("above", "too small") if test.size > 0 else ("below", "too great")
-    sentence = (
-        f"The noise of the images is {abs(test.size):.1f} dB {side} the stated one: that of the samples is {found:.3g} "
-        f"and the description of the sensor states {stated:.3g} (noise_power, mean of the channels). The sigma of the "
-        f"heights is {heights}; state a noise_power of {found:.3g}, or find what else is in the channels."
+def _is_significant(test: FitTest, tests: Sequence[FitTest]) -> bool:
+    return test.p_value < SIGNIFICANCE / len(tests)
+
+
+@lru_cache(maxsize=16)
+def _repeated(window: str, looks: int, step: int) -> float:
+    """Number of pixels along an axis in which each look is."""
+    named = Window.named(window, looks, step)
+    return max(1.0, len(named.weights) / named.step)
+
+
+def _doubts(tests: list[FitTest], sensor: Sensor) -> tuple[Doubt, ...]:
+    """The first explanation of the significant tests that is large: what is wrong in one way looks wrong in others.
+
+    Interference has any gain, what wrong gains and beams leave of strong scatterers looks like noise, and noise that
+    channels have in common looks like less noise of each.
+    """
+    named = {name: [test for test in tests if test.name == name] for name in {test.name for test in tests}}
+    explanations = (
+        _of_interference(named.get(noise_pattern.INTERFERENCE, [])),
+        _of_gains(named.get(channel_gains.CHANNEL_GAIN, [])),
+        _of_stretch(named.get(channel_gains.BEAM_STRETCH, [])),
+        _of_correlation(named.get(noise_pattern.CORRELATED_NOISE, [])),
+        chain(
+            _of_level(named.get(noise_level.NOISE_LEVEL, []), sensor),
+            _of_range(named.get(noise_level.NOISE_OVER_RANGE, [])),
+        ),
     )
-    yield Doubt(test.name, sentence, test.channel, test.size, test.unit, test.p_value)
+    return next(filter(None, map(tuple, explanations)), ())
 
 
-def _of_gains(tests: list[FitTest], limit: float) -> Iterator[Doubt]:
-    """The doubts about gains that are significant and large: of every channel without signal; else one of the worst."""
-    off = [one for one in tests if one.p_value < limit and not 1 / GREATEST_GAIN <= one.size <= GREATEST_GAIN]
+def _doubt(test: FitTest, sentence: str) -> Doubt:
+    return Doubt(test.name, sentence, test.channel, test.size, test.unit, test.p_value)
+
+
+def _of_level(tests: list[FitTest], sensor: Sensor) -> Iterator[Doubt]:
+    for test in tests:
+        if QUIETER_DB <= test.size <= LOUDER_DB:
+            continue
+        stated = float(np.mean(sensor.noise_power))
+        found = stated * 10 ** (test.size / 10)
+        side, heights = ("above", "too small") if test.size > 0 else ("below", "too great")
+        yield _doubt(
+            test,
+            f"The noise of the images is {abs(test.size):.1f} dB {side} the stated one: that of the samples is "
+            f"{found:.3g} and the description of the sensor states {stated:.3g} (noise_power, mean of the channels). "
+            f"The sigma of the heights is {heights}; state a noise_power of {found:.3g}, or find what else is in the "
+            "channels.",
+        )
+
+
+def _of_range(tests: list[FitTest]) -> Iterator[Doubt]:
+    for test in tests:
+        if abs(test.size) > GREATEST_OVER_RANGE_DB:
+            yield _doubt(
+                test,
+                f"In a quarter of the ranges the noise of the images is {test.size:+.1f} +- {test.sigma:.1f} dB over "
+                "that of the whole dwell; the description states one noise_power for all ranges. The sigma of the "
+                "heights is wrong there. Remove the gain over range from the samples, or find what else is in the "
+                "channels.",
+            )
+
+
+def _of_interference(tests: list[FitTest]) -> Iterator[Doubt]:
+    for test in tests:
+        if test.size > GREATEST_INTERFERENCE:
+            yield _doubt(
+                test,
+                f"All channels receive something alike that no scatterer in their beams would give, with "
+                f"{10 * np.log10(test.size):+.0f} dB over the noise of a channel: interference, or crosstalk of the "
+                "receivers. Heights and their sigma are wrong; find its source, or remove it from the samples.",
+            )
+
+
+def _of_correlation(tests: list[FitTest]) -> Iterator[Doubt]:
+    for test in tests:
+        if abs(test.size) > GREATEST_CORRELATION:
+            yield _doubt(
+                test,
+                f"The noise of neighbouring channels has a correlation of {test.size:.2f} +- {test.sigma:.2f}; the "
+                "description states that it is independent. The sigma of the heights is too small; look for crosstalk "
+                "of the receivers, or describe it by the channel matrix.",
+            )
+
+
+def _of_stretch(tests: list[FitTest]) -> Iterator[Doubt]:
+    for test in tests:
+        if abs(test.size) > GREATEST_STRETCH:
+            side = "wider, or closer to each other," if test.size > 0 else "narrower, or farther from each other,"
+            yield _doubt(
+                test,
+                f"The beams are {side} than described, by {100 * abs(test.size):.1f} +- {100 * test.sigma:.1f} %. "
+                "Heights are biased, most at the ends of the array; measure the beams (sal-height calibrate), or check "
+                "the width of the antenna and the boresights in the description.",
+            )
+
+
+def _of_gains(tests: list[FitTest]) -> Iterator[Doubt]:
+    """The doubts about gains that are large: of every channel without signal; else one of the worst."""
+    off = [one for one in tests if not 1 / GREATEST_GAIN <= one.size <= GREATEST_GAIN]
     silent = [one for one in off if one.size < NOISE_ONLY]
     for one in silent:
-        sentence = (
+        yield _doubt(
+            one,
             f"Channel {one.channel} has {one.size:.2f} +- {one.sigma:.2f} of the amplitude that the other channels "
             "predict: it receives next to nothing but noise. Heights near its beam are wrong; repair it, or make its "
-            "samples 0, so that it is left out."
+            "samples 0, so that it is left out.",
         )
-        yield Doubt(one.name, sentence, one.channel, one.size, one.unit, one.p_value)
     if off and not silent:  # without a channel, its neighbours are not predicted well
         worst = max(off, key=lambda one: abs(np.log(max(one.size, 1e-3))))
         decibels = 20 * np.log10(worst.size)
         others = f" So do {len(off) - 1} others, less." if len(off) > 1 else ""
-        sentence = (
+        yield _doubt(
+            worst,
             f"Channel {worst.channel} has {worst.size:.2f} +- {worst.sigma:.2f} of the amplitude that the others "
             f"predict ({decibels:+.1f} dB); the description states the same gain for all.{others} "
-            "Heights are biased; measure the gains (sal-height calibrate), or check the beams of the description."
+            "Heights are biased; measure the gains (sal-height calibrate), or check the beams of the description.",
         )
-        yield Doubt(worst.name, sentence, worst.channel, worst.size, worst.unit, worst.p_value)

@@ -1,4 +1,6 @@
 """Goodness of fit: tests of a dwell's data against what was assumed of the sensor.
 
-`noise_level` compares the noise with its stated power, and `channel_gains` every channel with what the others predict.
+`statistics` reads the pixels, once for all tests. `noise_level` compares the noise with its stated power,
+`noise_pattern` finds noise that channels have in common, and `channel_gains` compares every channel with what the
+others predict.
 """

@@ -11,21 +11,12 @@ Nadler, IEEE Trans. Signal Processing 57, 2009, for covariances of more looks th
 from __future__ import annotations
 
 import math
-from functools import lru_cache
 
-import numpy as np
+from sal_height.doubts import FitTest, normal_tails
+from sal_height.elevation.fit.statistics import BLOCKS, FitStatistics
 
-from sal_height.beams import Beams
-from sal_height.doubts import ALL_CHANNELS, FitTest
-from sal_height.elevation.array.estimate import Residue
-from sal_height.elevation.array.search import SQUINT_STEP
-from sal_height.elevation.fit._fit_kernels import levels_of_noise
-from sal_height.elevation.layover.order import detection_threshold, path_length
-from sal_height.elevation.looks.looks import Looks
-from sal_height.numeric import F64
-
-NOISE_LEVEL = "noise level"
-"""Name of the test."""
+NOISE_LEVEL, NOISE_OVER_RANGE = "noise level", "noise over range"
+"""Names of the tests."""
 
 FEWEST_CHANNELS = 3
 """Fewest channels whose noise level can be told from several scatterers: two of these explain all of two channels."""
@@ -48,52 +39,48 @@ DB = 10 / math.log(10)
 """A relative error of 1, if it were small, in dB."""
 
 
-def noise_test(residue: Residue, looks: Looks, beams: Beams, repeated: float) -> FitTest:
+def level_test(found: FitStatistics, channels: int, repeated: float) -> FitTest:
     """Test the noise of a dwell against the stated one: its level in dB; NaN where too few pixels have one scatterer.
 
     The search for the scatterer takes noise where it has nothing else: in shadow, and beyond the array, the level is
     found too low, by up to 1 dB with six channels and by 2.4 dB with three.
 
     Args:
-        residue: fit of a single scatterer to each pixel.
-        looks: covariance of M channels of equal noise in each pixel.
-        beams: beams of the M detectors.
+        found: statistics of the dwell.
+        channels: number of channels.
         repeated: number of pixels in which each look is.
     """
-    power, levels = looks.power.ravel() / looks.receiver_noise, np.empty(looks.power.size)
-    few, many = float(looks.count.min()), float(looks.count.max())
-    usual = _usually_beside(beams, float(exact_squint(looks.squint[:1], beams)[0]), few, many)
-    pixels = residue.explained.ravel(), residue.beside.ravel(), looks.count.ravel(), looks.finite.ravel()
-    number = levels_of_noise(power, *pixels, beams.count, beams.count * beams.uncertainty**2, usual, levels)
-    if number < max(1, LEAST_FRACTION * np.count_nonzero(looks.finite)):
+    level, number = found.levels[-1]
+    if number < max(1, LEAST_FRACTION * found.pixels):
         return FitTest(NOISE_LEVEL, unit="dB")
-    levels = levels[:number]
-    levels.partition(number // 2)
-    degrees = (beams.count - 1) * few - 0.5
-    of_noise = math.sqrt(np.pi / 2 * repeated / (number * degrees))
-    size, sigma = DB * math.log(levels[number // 2]), DB * math.hypot(of_noise, OF_SCENE / beams.count)
-    statistic = abs(size) / sigma
-    return FitTest(NOISE_LEVEL, ALL_CHANNELS, statistic, math.erfc(statistic / math.sqrt(2)), size, sigma, "dB")
+    return _test(NOISE_LEVEL, level, math.hypot(_of_noise(found, channels, repeated, number), OF_SCENE / channels), 1)
 
 
-@lru_cache(maxsize=64)
-def _usually_beside(beams: Beams, squint: float, few: float, many: float) -> tuple[float, float]:
-    """Power that one more scatterer explains in half of the pixels of noise, as a line over the number of looks.
+def range_test(found: FitStatistics, channels: int, repeated: float) -> FitTest:
+    """Test the noise of blocks of ranges against that of the dwell: the level farthest from it, in dB.
 
-    Args:
-        beams: beams of the channels, distinguished by their identity.
-        squint: squint of a column, rad.
-        few: least number of looks.
-        many: greatest number of looks.
+    Arguments are those of `level_test`; NaN if less than two blocks have enough pixels with one scatterer.
     """
-    length = path_length(beams, squint)
-    least, most = (detection_threshold(length, looks, 0.5) for looks in (few, many))
-    slope = (most - least) / (many - few) if many > few else 0.0
-    return least - slope * few, slope
+    *blocks, (level, _) = found.levels
+    known = [
+        (one / level, number) for one, number in blocks if number >= max(1, LEAST_FRACTION * found.pixels / BLOCKS)
+    ]
+    if len(known) < 2:
+        return FitTest(NOISE_OVER_RANGE, unit="dB")
+    farthest, number = max(known, key=lambda one: abs(math.log(one[0])))
+    sigma = math.hypot(_of_noise(found, channels, repeated, number), OF_SCENE / channels)
+    return _test(NOISE_OVER_RANGE, farthest, sigma, len(known))
 
 
-def exact_squint(squint: F64, beams: Beams) -> F64:
-    """Squints nearest to these (rad) for which responses are computed from the beams' patterns; same shape."""
-    step = SQUINT_STEP * beams.track_beamwidth
-    found: F64 = np.rint(squint / step) * step
-    return found
+def _of_noise(found: FitStatistics, channels: int, repeated: float, number: float) -> float:
+    """Relative standard deviation of the median level of a number of pixels."""
+    degrees = (channels - 1) * found.least_looks - 0.5
+    return math.sqrt(math.pi / 2 * repeated / (number * degrees))
+
+
+def _test(name: str, level: float, sigma: float, searched: int) -> FitTest:
+    """The test of a level with a relative standard deviation, the one farthest from 1 of a number of them."""
+    size = DB * math.log(level)
+    statistic = abs(size) / (DB * sigma)
+    p_value = min(1.0, searched * normal_tails(statistic))
+    return FitTest(name, statistic=statistic, p_value=p_value, size=size, sigma=DB * sigma, unit="dB")

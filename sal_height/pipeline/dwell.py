@@ -1,7 +1,7 @@
 """From the phase history of a dwell to its heights: the whole procedure, to be read from top to bottom.
 
-Steps 1 to 5 make the images of all channels (`Compressor`), steps 6 to 16 the heights of these images by one estimator
-(`heights`; `heights_of_dwells` takes several dwells at once). Step 17, which follows the relief from dwell to dwell, is
+Steps 1 to 5 make the images of all channels (`Compressor`), steps 6 to 17 the heights of these images by one estimator
+(`heights`; `heights_of_dwells` takes several dwells at once). Step 18, which follows the relief from dwell to dwell, is
 `relief.track`.
 
 All of it is the same to the last bit for a dwell alone and among others, and for any number of threads.
@@ -44,9 +44,9 @@ from sal_height.imaging import (
     with_unknown_odometry,
 )
 from sal_height.numeric import Bool, Index, one_blas_thread
-from sal_height.pipeline.beam_errors import known_beams
+from sal_height.pipeline.beam_errors import KnownBeams, known_beams
 from sal_height.pipeline.channels import channel_sets, channels_and_beams, live_channels
-from sal_height.pipeline.fit import DwellFit, fit_of
+from sal_height.pipeline.fit import GAIN_LEFT, DwellFit, fit_of, with_measured_gains, with_measured_noise
 from sal_height.pipeline.instrument import with_instrument
 from sal_height.pipeline.strip import StripBuffer
 from sal_height.relief import HeightField, height_field, joined_rows, level_turn
@@ -161,6 +161,44 @@ def heights_of_dwells(
 ) -> list[HeightField]:
     """`heights` of several dwells, the same as one by one, in less time; arguments and errors as of `elevations`."""
     known = known_beams(sensor, settings, calibration)
+    fields = _heights_of_dwells(slcs, sensor, estimator, settings, calibration, known)
+    if not settings.measures_noise_and_gains:
+        return fields
+    # 17  The same again with gains, then noise, that the data show, of dwells that contradict their description.
+    return [
+        _with_measured(slc, field, sensor, estimator, settings, calibration, known)
+        for slc, field in zip(slcs, fields, strict=True)
+    ]
+
+
+def _with_measured(
+    slc: Slc,
+    field: HeightField,
+    sensor: Sensor,
+    estimator: ElevationEstimator,
+    settings: HeightSettings,
+    calibration: Calibration | None,
+    known: KnownBeams,
+) -> HeightField:
+    """Heights of a dwell with gains and noise power that its tests show; the tests remain those of the description."""
+    tests, errors = field.fit, known.errors
+    if equal := with_measured_gains(slc, field.fit):
+        slc, known = equal, known._replace(errors=errors._replace(gain=float(np.hypot(errors.gain, GAIN_LEFT))))
+        (field,) = _heights_of_dwells([slc], sensor, estimator, settings, calibration, known)
+    if measured := with_measured_noise(slc, field.fit):
+        (field,) = _heights_of_dwells([measured], sensor, estimator, settings, calibration, known)
+    return replace(field, fit=tests)
+
+
+def _heights_of_dwells(
+    slcs: Sequence[Slc],
+    sensor: Sensor,
+    estimator: ElevationEstimator,
+    settings: HeightSettings,
+    calibration: Calibration | None,
+    known: KnownBeams,
+) -> list[HeightField]:
+    """Heights of dwells with noise powers and gains as stated, and beams whose accuracy is `known`."""
     # 6  Channels that receive: of each row of pixels those that are neither dead nor blanked.
     parts = [
         (number, rows, _observe(slc, sensor, estimator, settings, calibration, known.errors, channels))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import chain
 
@@ -14,6 +14,7 @@ from sal_height.doubts import Doubt, FitTest
 from sal_height.elevation import HeightSettings, Looks, Residue, Window
 from sal_height.elevation.fit import channel_gains, noise_level, noise_pattern
 from sal_height.elevation.fit.statistics import FitStatistics
+from sal_height.imaging import Slc
 from sal_height.numeric import Index
 from sal_height.sensor import Sensor
 
@@ -87,6 +88,35 @@ def fit_of(
             tests.append(channel_gains.stretch_test(found, beams, repeated))
     significant = [test for test in tests if _is_significant(test, tests)]
     return DwellFit(tuple(tests), _doubts(significant, sensor) if significant else ())
+
+
+GAIN_LEFT = 0.04
+"""Standard deviation of the gains that are left where they were measured on a dwell."""
+
+
+def with_measured_gains(slc: Slc, tests: Sequence[FitTest]) -> Slc | None:
+    """Images of equal gain by the tests of a dwell; None: no gain is significant. The mean gain of all is not known.
+
+    A channel of noise alone is made dead, so that it is left out.
+    """
+    gains = [test for test in tests if test.name == channel_gains.CHANNEL_GAIN and np.isfinite(test.size)]
+    if not any(_is_significant(test, tests) for test in gains):
+        return None
+    gain = np.ones(len(slc.images))
+    for test in gains:
+        gain[test.channel] = test.size
+    silent = gain < NOISE_ONLY
+    gain[silent] = 1.0
+    images = np.where(silent, 0, 1 / gain)[:, None, None] * slc.images
+    return replace(slc, images=images.astype(np.complex64), noise_power=slc.noise_power / gain**2)
+
+
+def with_measured_noise(slc: Slc, tests: Sequence[FitTest]) -> Slc | None:
+    """Images with the noise power of the tests of a dwell; None: it is as stated."""
+    for test in tests:
+        if test.name == noise_level.NOISE_LEVEL and _is_significant(test, tests):
+            return replace(slc, noise_power=10 ** (test.size / 10) * slc.noise_power)
+    return None
 
 
 def _is_significant(test: FitTest, tests: Sequence[FitTest]) -> bool:

@@ -116,6 +116,27 @@ def test_beams_that_are_farther_from_each_other_are_found(pitch: float, word: st
         assert word in doubt.sentence
 
 
+MEASURED = ML.settings(noise_and_gains="measured")  # type: ignore[call-arg]
+
+
+@pytest.mark.parametrize("name", ["noise +3 dB", "gains 2 dB rms", "channel 5 noise only"])
+def test_noise_and_gains_that_are_measured_leave_no_doubt(name: str) -> None:
+    """The tests remain those of the description, and heights have more pixels than with wrong gains."""
+    stated, measured = (
+        dwells_of("level", FAULTS[name], 20, dwells=2, settings=settings) for settings in (ML.settings(), MEASURED)
+    )
+    for described, field in zip(stated, measured, strict=True):
+        assert described.doubts
+        assert not field.doubts
+        assert repr(field.fit) == repr(described.fit)
+
+
+def test_nothing_is_measured_of_a_dwell_as_described() -> None:
+    stated, measured = (dwells_of("street", NONE, 20, dwells=2, settings=one) for one in (ML.settings(), MEASURED))
+    for described, field in zip(stated, measured, strict=True):
+        assert np.array_equal(field.first.height, described.first.height, equal_nan=True)
+
+
 @cache
 def small_slc(cnr_db: float = 20.0) -> tuple[Slc, Sensor]:
     """Images of the small preset, 8 channels."""

@@ -125,6 +125,11 @@ class HeightSettings(Settings):
     )
 
     @property
+    def measures_noise_and_gains(self) -> bool:
+        """True if noise power and gains are those of the data of a dwell that contradicts its description."""
+        return False
+
+    @property
     def windows(self) -> tuple[Window, Window]:
         """Looks in range and in azimuth."""
         return (

@@ -32,6 +32,17 @@ class MlSettings(LayoverSettings):
         "and without heights in layover)",
         choices=tuple(OBJECTIVES),
     )
+    noise_and_gains: str = setting(
+        "stated",
+        "noise power and gains of the channels: stated (as the sensor's description has them) or measured (where the "
+        "tests of a dwell contradict it, those that its data show; takes up to three times as long)",
+        choices=("stated", "measured"),
+    )
+
+    @property
+    def measures_noise_and_gains(self) -> bool:
+        """True if noise power and gains are those of the data of a dwell that contradicts its description."""
+        return self.noise_and_gains == "measured"
 
 
 def ml_elevation(looks: Looks, beams: Beams, settings: MlSettings) -> ElevationEstimate:

@@ -226,7 +226,7 @@ def _heights_of_dwells(
         fields[number].append((rows, field))
         # 16  Tests of the data, where a single scatterer was fitted; clipped samples do not fit anything.
         residue = None if seen.saturated_share > settings.max_saturated_fraction else estimate.residue
-        fit = fit_of(residue, seen.looks, seen.beams, seen.channels, sensor, settings)
+        fit = fit_of(residue, seen.looks, seen.beams, seen.channels, sensor, settings, calibration)
         fits[number].append((int(np.count_nonzero(rows)), fit))
     # Where receivers are blanked, the tests are those of the rows that most of the pixels are in.
     most = [max(of_dwell, key=lambda part: part[0])[1] for of_dwell in fits]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import chain
@@ -10,6 +10,7 @@ from itertools import chain
 import numpy as np
 
 from sal_height.beams import Beams
+from sal_height.calibration import Calibration
 from sal_height.doubts import Doubt, FitTest
 from sal_height.elevation import HeightSettings, Looks, Residue, Window
 from sal_height.elevation.fit import channel_gains, noise_level, noise_pattern
@@ -58,7 +59,13 @@ class DwellFit:
 
 
 def fit_of(
-    residue: Residue | None, looks: Looks, beams: Beams, channels: Index, sensor: Sensor, settings: HeightSettings
+    residue: Residue | None,
+    looks: Looks,
+    beams: Beams,
+    channels: Index,
+    sensor: Sensor,
+    settings: HeightSettings,
+    calibration: Calibration | None = None,
 ) -> DwellFit:
     """Tests of a dwell against the description of its sensor, and doubts.
 
@@ -71,6 +78,7 @@ def fit_of(
         channels: number of each of them in the sensor.
         sensor: sensor of the dwell.
         settings: settings of the looks.
+        calibration: calibration of the images, which doubts about gains and beams name; None: none.
     """
     if residue is None or beams.count < noise_level.FEWEST_CHANNELS:
         return DwellFit()
@@ -87,7 +95,7 @@ def fit_of(
         if not sensor.detector_rotation:
             tests.append(channel_gains.stretch_test(found, beams, repeated))
     significant = [test for test in tests if _is_significant(test, tests)]
-    return DwellFit(tuple(tests), _doubts(significant, sensor) if significant else ())
+    return DwellFit(tuple(tests), _doubts(significant, sensor, calibration) if significant else ())
 
 
 GAIN_LEFT = 0.04
@@ -130,7 +138,7 @@ def _repeated(window: str, looks: int, step: int) -> float:
     return max(1.0, len(named.weights) / named.step)
 
 
-def _doubts(tests: list[FitTest], sensor: Sensor) -> tuple[Doubt, ...]:
+def _doubts(tests: list[FitTest], sensor: Sensor, calibration: Calibration | None) -> tuple[Doubt, ...]:
     """The first explanation of the significant tests that is large: what is wrong in one way looks wrong in others.
 
     Interference has any gain, what wrong gains and beams leave of strong scatterers looks like noise, and noise that
@@ -139,8 +147,8 @@ def _doubts(tests: list[FitTest], sensor: Sensor) -> tuple[Doubt, ...]:
     named = {name: [test for test in tests if test.name == name] for name in {test.name for test in tests}}
     explanations = (
         _of_interference(named.get(noise_pattern.INTERFERENCE, [])),
-        _of_gains(named.get(channel_gains.CHANNEL_GAIN, [])),
-        _of_stretch(named.get(channel_gains.BEAM_STRETCH, [])),
+        _after(calibration, _of_gains(named.get(channel_gains.CHANNEL_GAIN, []))),
+        _after(calibration, _of_stretch(named.get(channel_gains.BEAM_STRETCH, []))),
         _of_correlation(named.get(noise_pattern.CORRELATED_NOISE, [])),
         chain(
             _of_level(named.get(noise_level.NOISE_LEVEL, []), sensor),
@@ -148,6 +156,19 @@ def _doubts(tests: list[FitTest], sensor: Sensor) -> tuple[Doubt, ...]:
         ),
     )
     return next(filter(None, map(tuple, explanations)), ())
+
+
+def _after(calibration: Calibration | None, doubts: Iterable[Doubt]) -> Iterator[Doubt]:
+    """Doubts about gains and beams of images with a calibration, if there is one, which may be the reason."""
+    for doubt in doubts:
+        if calibration is None:
+            yield doubt
+        else:
+            sentence = (
+                f"{doubt.sentence} The images have calibration {calibration.id}, which may be of another instrument or "
+                "another day: calibrate the sensor again, or leave the calibration out."
+            )
+            yield doubt._replace(sentence=sentence)
 
 
 def _doubt(test: FitTest, sentence: str) -> Doubt:

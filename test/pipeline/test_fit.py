@@ -10,7 +10,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from benchmarks.goodness_of_fit import FAULTS, NONE, Fault, dwells_of
+from benchmarks.goodness_of_fit import FAULTS, NONE, Fault, dwells_of, images_of
+from sal_height.calibration import Calibration
 from sal_height.elevation import ESTIMATORS
 from sal_height.imaging import ImageSettings, Slc
 from sal_height.pipeline import Compressor, heights
@@ -135,6 +136,24 @@ def test_nothing_is_measured_of_a_dwell_as_described() -> None:
     stated, measured = (dwells_of("street", NONE, 20, dwells=2, settings=one) for one in (ML.settings(), MEASURED))
     for described, field in zip(stated, measured, strict=True):
         assert np.array_equal(field.first.height, described.first.height, equal_nan=True)
+
+
+@pytest.mark.parametrize(
+    ("fault", "width_factor", "name"),
+    [(FAULTS["gains 2 dB rms"], 1.0, "channel gain"), (NONE, 1.04, "beam stretch"), (NONE, 1.0, None)],
+)
+def test_a_calibration_of_another_instrument_is_named(fault: Fault, width_factor: float, name: str | None) -> None:
+    """Images that it equalised have wrong gains, and beams that it describes a wrong width; one that fits is not."""
+    images = fault.of(images_of("level", 16, 1))
+    zeros, response = np.zeros(16), np.ones((16, images.sensor.sample_count), np.complex64)
+    calibration = Calibration(images.sensor.config_hash, response, zeros, zeros, zeros, width_factor=width_factor)
+    field = heights(images.slc(25.0), images.sensor, ML, ML.settings(), calibration)
+    if name is None:
+        assert not field.doubts
+        return
+    (doubt,) = field.doubts
+    assert doubt.name == name
+    assert f"calibration {calibration.id}, which may be of another instrument" in doubt.sentence
 
 
 @cache

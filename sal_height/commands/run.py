@@ -64,10 +64,11 @@ def run(
     """Simulate a flight, process it with the graph of nodes, and compare the heights with the truth.
 
     The output folder holds the recorded bag, report.json, height.png, errors.png,
-    ground.png, scene3d.png, profile.png and relief_map.tif. The command ends with a
-    table of the errors of each estimator: bias, s68 (half the width between 16 %
-    and 84 % of the errors), the Cramer-Rao bound and the percentage of errors
-    within 1 sigma. With an origin, the map is in UTM.
+    ground.png, scene3d.png, profile.png and relief_map.tif, and doubts.png if a
+    dwell is in doubt. The command ends with a table of the errors of each
+    estimator: bias, s68 (half the width between 16 % and 84 % of the errors), the
+    Cramer-Rao bound and the percentage of errors within 1 sigma. With an origin,
+    the map is in UTM.
 
     Args:
         scene: Terrain: street, woods, jacksboro_fault, or a DEM as .tif or .npz file. Default: the preset's.
@@ -102,7 +103,7 @@ def run(
     if sentence := achieved(result.accuracy.statistics):
         print(sentence)
     interrupted = " (interrupted)" if outcome.interrupted else ""
-    pictures = ("scene3d.png", "height.png", "errors.png", "ground.png", "profile.png")
+    pictures = ("scene3d.png", "height.png", "errors.png", "ground.png", "profile.png", "doubts.png")
     left = (folder / name for name in (*pictures, RELIEF_MAP, "report.json", "bag"))
     first, *others = [str(path) for path in left if path.exists()]
     print(f"{outcome.dwells} dwells{interrupted}; look first at {first}, then at {', '.join(others)}")

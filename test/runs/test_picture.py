@@ -17,7 +17,7 @@ from sal_height.elevation import ESTIMATORS
 from sal_height.geometry.grid import Grid
 from sal_height.graph.picture import STYLE, beyond, look_of, page, shaded
 from sal_height.messages import serialize
-from sal_height.messages.types import DiagnosticArray, DiagnosticStatus, KeyValue
+from sal_height.messages.types import DiagnosticArray, DiagnosticStatus, Doubt, FitTest, HeightImage, KeyValue
 from sal_height.relief import GroundEstimate, HeightField, Surface
 from sal_height.runs.campaign.campaign_picture import _style
 from sal_height.runs.live.latency_picture import draw_run
@@ -25,6 +25,7 @@ from sal_height.runs.products.calibrate import beyond_error
 from sal_height.runs.replay.judge import published_latencies
 from sal_height.runs.responses.pictures import corners, draw_image, ground_steps
 from sal_height.runs.truth.comparison import PublishedErrors, SurfaceComparison
+from sal_height.runs.truth.doubt_picture import draw_doubts, fit_over_dwells
 from sal_height.runs.truth.height_picture import ground_picture, height_limits, percent_text
 from sal_height.runs.truth.pictures import _normal, counted, kind_shares, projected
 from sal_height.runs.truth.profile import column_of_greatest_relief
@@ -276,3 +277,23 @@ def test_bags_of_a_campaign_differ_in_line_or_filling_and_estimators_in_colour()
         assert len({(one["color"], one["marker"]) for one in of_one}) == 1
     assert styles["ml"][0]["color"] != styles["monopulse"][0]["color"]
     assert styles["ml"][0]["marker"] != styles["monopulse"][0]["marker"]
+
+
+def test_doubts_are_drawn_over_the_dwells(tmp_path: Path) -> None:
+    """Of several tests of a name the least probable one; a dwell without a test has none, and no doubt no picture."""
+    images = [
+        HeightImage(fit=[FitTest(name="channel gain", p_value=p) for p in (0.1, 1e-3)]),
+        HeightImage(
+            fit=[FitTest(name="channel gain", p_value=0.0), FitTest(name="noise level", p_value=float("nan"))],
+            doubts=[Doubt(name="channel gain"), Doubt(name="beams of unknown accuracy")],
+        ),
+    ]
+    names, decades, doubted = fit_over_dwells(images)
+    assert names == ["channel gain", "noise level", "beams of unknown accuracy"]
+    assert decades == pytest.approx(np.array([[3, 12], [np.nan, np.nan], [np.nan, np.nan]]), nan_ok=True)
+    assert doubted.tolist() == [[False, True], [False, False], [False, True]]
+    assert draw_doubts({"ml": images, "capon": images[:1]}, tmp_path / "doubts.png")
+    with Image.open(tmp_path / "doubts.png") as picture:
+        assert np.ptp(np.asarray(picture.convert("L"))) > 200
+    assert not draw_doubts({"ml": images[:1]}, tmp_path / "none.png")
+    assert not (tmp_path / "none.png").exists()

@@ -136,6 +136,7 @@ def _draw(flown: Flown, preset: Preset, folder: Path) -> None:
     Raises:
         UserError: a picture cannot be written, or none of the images lies on the scene.
     """
+    from sal_height.runs.truth.doubt_picture import draw_doubts  # noqa: PLC0415
     from sal_height.runs.truth.height_picture import draw_heights  # noqa: PLC0415
     from sal_height.runs.truth.pictures import (  # noqa: PLC0415 (brings Matplotlib)
         cloud_of,
@@ -165,3 +166,5 @@ def _draw(flown: Flown, preset: Preset, folder: Path) -> None:
             draw_cloud(*cloud_of(accuracy.heights), preset, folder / "scene3d.png")
         with writing(folder / "profile.png"):
             draw_profile(images, source, flown.flight, folder / "profile.png")
+        with writing(folder / "doubts.png"):
+            draw_doubts(images, folder / "doubts.png")

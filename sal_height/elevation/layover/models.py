@@ -241,8 +241,11 @@ class Models:
         """
         gains = np.diff(self.explained[ONE : THREE + 1], axis=0)
         for order, gain in zip((TWO, THREE), gains, strict=True):
+            more = gain > single.levels.several[here]
+            if not more.any():
+                continue
             along = np.zeros((2, *looks.count.shape))
-            along[:, *here] = np.where(gain > single.levels.several[here], self.along_slopes[:, order], 0.0)
+            along[:, *here] = np.where(more, self.along_slopes[:, order], 0.0)
             deviation = surface_deviation(spread_around(along[0], along[1], looks), looks)[here]
             self.sigma[order] = np.hypot(self.sigma[order], deviation[:, None])
 

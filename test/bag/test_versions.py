@@ -16,7 +16,6 @@ from mcap.reader import make_reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from sal_height.bag.compare import EQUAL, compare_bags
 from sal_height.bag.reader import BagReader
 from sal_height.bag.versions import VERSION_0, needs_upgrade, upgraded
 from sal_height.engine.frame_items import samples_of
@@ -310,11 +309,3 @@ def test_a_map_of_version_2_has_one_layer_and_its_system_apart(
     assert {name: getattr(new, name) for name in values} == values
     assert new.layers == [messages.ReliefLayer(name=layer, **layers)]
     assert new.provenance.parameters == stated
-
-
-def test_the_newest_reference_bag_has_the_heights_of_the_one_before() -> None:
-    before, newest = (BagReader(BAG.parent / name) for name in ("version_2", "version_3"))
-    compared = compare_bags(before, newest)
-    assert {topic: (one.verdict, one.matched) for topic, one in compared.items()} == dict.fromkeys(
-        ("/ml/height", "/monopulse/height", "/tracked/height"), (EQUAL, 2)
-    )

@@ -74,7 +74,8 @@ def test_data_that_contradict_the_description_are_a_doubt_and_a_warning() -> Non
     (doubt,) = heights.doubts
     assert doubt.name == "noise level"
     assert abs(doubt.size - 20) < 1
-    assert [test.name for test in heights.fit] == ["noise level", *["channel gain"] * 8]
+    patterns = ["noise over range", "interference", "correlated noise", "beam stretch"]
+    assert [test.name for test in heights.fit] == ["noise level", *["channel gain"] * 8, *patterns]
     assert [(notice.kind, notice.sentence) for notice in notices] == [("noise level", f"Dwell 0: {doubt.sentence}")]
 
 

@@ -1,7 +1,7 @@
 """Stage mover_detection: detects what moves in strips or over spotlight dwells.
 
-Movers of a spotlight dwell are published a few dwells later, once all overlapping dwells have arrived; the last ones
-once no other dwell has arrived for timeout_s, or at the end.
+Movers are published a few dwells later: of a spotlight dwell once all overlapping dwells have arrived, of an image of a
+strip once those have that may show it, too; the last ones once no other dwell has arrived for timeout_s, or at the end.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from sal_height.engine.kept import RecentValues
 from sal_height.engine.settings import ChannelSettings
 from sal_height.engine.stage import DwellKey, Job, Loss, Notice, Port, Product, Reset, Result
 from sal_height.errors import Rejected, UserError
-from sal_height.movers import ALONE, DwellMovers, Looked, MoverSettings, check_sensor
-from sal_height.pipeline import dwell_with_movers, movers
+from sal_height.movers import ALONE, DwellMovers, Looked, MoverSettings, StripMovers, check_sensor
+from sal_height.pipeline import dwell_with_movers, strip_with_movers
 from sal_height.sensor import Sensor
 
 MOVERS = "movers"
@@ -66,7 +66,7 @@ class MoverDetection(ImageStage):
         self._unpublished = 0
         # The heavy side.
         self._search = MoverSettings()
-        self._dwells = _movers_of_sensors(self._search)
+        self._dwells, self._strips = _movers_of_sensors(self._search)
 
     @classmethod
     def outputs(cls, settings: Any) -> Sequence[Port]:  # noqa: ARG003
@@ -118,7 +118,9 @@ class MoverDetection(ImageStage):
         yield from self._follow_settings(job.settings)
         images, sensor, calibration = images_of(whole), whole.sensor, whole.supplies
         if sensor.mode == "stripmap":
-            yield self._product(images, movers(images.slc, sensor, self._search, calibration))
+            strip = strip_with_movers(images.slc, sensor, self._search, calibration)
+            yield from self._products(self._strips.of(whole.key.sensor).add(strip, images))
+            yield from self._ended(self._strips.take_surplus())
             return
         seconds = 1e-9 * whole.key.stamp_ns
         dwell = dwell_with_movers(images.slc, seconds, sensor, self._search, calibration)
@@ -127,21 +129,26 @@ class MoverDetection(ImageStage):
 
     def work_otherwise(self, job: Job) -> Iterator[Result]:  # noqa: ARG002 (it is the only one)
         """Publish what was found in the last dwells."""
-        yield from self._ended(self._dwells.take_all())
+        yield from self._ended(self._take_all())
 
     def forget_work(self) -> Iterator[Result]:
         """Start again with the next dwell, without what has not been published, which is counted."""
-        for _ in range(sum(one.unpublished for one in self._dwells.take_all())):
+        for _ in range(sum(one.unpublished for one in self._take_all())):
             yield Notice("reset", "The node was reset before the movers of a dwell were published.")
 
     def _follow_settings(self, wanted: Any) -> Iterator[Result]:
         """Start again if settings have changed."""
         settings = MoverSettings(**{name: getattr(wanted, name) for name in MoverSettings.model_fields})
         if settings != self._search:
-            yield from self._ended(self._dwells.take_all())
-            self._search, self._dwells = settings, _movers_of_sensors(settings)
+            yield from self._ended(self._take_all())
+            self._search = settings
+            self._dwells, self._strips = _movers_of_sensors(settings)
 
-    def _ended(self, sensors: Sequence[DwellMovers[Images]]) -> Iterator[Result]:
+    def _take_all(self) -> list[DwellMovers[Images] | StripMovers[Images]]:
+        """The movers of all sensors, which start again."""
+        return [*self._dwells.take_all(), *self._strips.take_all()]
+
+    def _ended(self, sensors: Sequence[DwellMovers[Images] | StripMovers[Images]]) -> Iterator[Result]:
         """Yield the movers found in the last dwells of sensors."""
         for dwells in sensors:
             yield from self._products(dwells.end())
@@ -158,9 +165,14 @@ class MoverDetection(ImageStage):
         return Product(MOVERS, ImageMovers(images.key, images.frame_id, images, looked))
 
 
-def _movers_of_sensors(search: MoverSettings) -> RecentValues[DwellMovers[Images]]:
-    """The movers over the dwells of each sensor, by config_hash."""
-    return RecentValues[DwellMovers[Images]](SENSORS_KEPT, partial(DwellMovers[Images], search))
+def _movers_of_sensors(
+    search: MoverSettings,
+) -> tuple[RecentValues[DwellMovers[Images]], RecentValues[StripMovers[Images]]]:
+    """The movers over the dwells and in the strips of each sensor, by config_hash."""
+    return (
+        RecentValues[DwellMovers[Images]](SENSORS_KEPT, partial(DwellMovers[Images], search)),
+        RecentValues[StripMovers[Images]](SENSORS_KEPT, partial(StripMovers[Images], search)),
+    )
 
 
 def _concludes_dwell(result: Result) -> bool:

@@ -13,6 +13,7 @@ by the number of velocities whose migration is undone.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, Self
 
@@ -23,14 +24,27 @@ from sal_height.beams import Beams
 from sal_height.errors import Rejected, UserError
 from sal_height.geometry import aperture_at
 from sal_height.imaging import Slc
-from sal_height.movers.likelihood import HYPOTHESES
-from sal_height.movers.migration import Migration, Migrations, about_ranges
-from sal_height.movers.mover import MIGRATING, Looked, Mover, MoverMeasurement, mover_of, peak_of, without_ambiguities
+from sal_height.movers.courses import SMEAR_STEP, Courses, FocusedTarget
+from sal_height.movers.likelihood import HYPOTHESES, MODEL_ERROR
+from sal_height.movers.migration import Migrations, about_ranges
+from sal_height.movers.mover import (
+    MIGRATING,
+    Blind,
+    Looked,
+    MoverMeasurement,
+    StripMover,
+    mover_of,
+    peak_of,
+    without_ambiguities,
+)
 from sal_height.movers.search import Search, Seen, ground_lag, spectra_of_image
 from sal_height.movers.spectrum import Bins
-from sal_height.numeric import C64, C128, F64, Bool, Index, vertex
+from sal_height.numeric import C64, C128, F64, Bool, Index
 from sal_height.sensor import MAX_SHARE, Sensor
 from sal_height.settings import Settings, setting
+
+ALL_BINS = 0.1
+"""Least weight of bins over the greatest, where a spectrum may be anywhere in the band."""
 
 MARGIN = 4
 """Margin at the edge of an image without candidates, pixels: the response is cut off there."""
@@ -54,7 +68,7 @@ class MoverSettings(Settings):
     )
     fastest_mps: float = setting(
         20.0,
-        "greatest radial velocity whose range migration is looked for, in spotlight along the flight, too; in "
+        "greatest radial velocity whose range migration is looked for, and greatest velocity along the flight; in "
         "stripmap no more than 6 rows while the beam passes; 0: none",
         unit="m/s",
         minimum=0.0,
@@ -75,100 +89,63 @@ class MoverSettings(Settings):
 
 
 @dataclass(frozen=True, eq=False)
-class Drive:
-    """Velocity of a target along the flight, and its image in focus.
+class Driving:
+    """Velocities along the flight from smears in an image.
 
     Attributes:
-        along: velocity along the flight, and its standard deviation; None: the whole image may be out of focus, m/s.
-        smear: smear that has been removed, over n (see above).
-        speed: speed of the platform, m/s.
-        col: column of its image in focus.
-        row: pixels of its row, or along its migration, in focus, shape (channels, cols).
-    """
-
-    along: tuple[float, float] | None
-    smear: float
-    speed: float
-    col: int
-    row: C128
-
-    @property
-    def share(self) -> float:
-        """Speed with which the target passes the beam, over that of the platform: 1 - u / v."""
-        return 1 - self.along[0] / self.speed if self.along else 1.0
-
-    def slowed(self, velocity: tuple[float, float]) -> tuple[float, float]:
-        """Radial velocity by migration, and its standard deviation, corrected for the rate of the Doppler, m/s."""
-        unsure = 2 * self.share * self.along[1] / self.speed if self.along else self.smear
-        return self.share**2 * velocity[0], float(np.hypot(self.share**2 * velocity[1], unsure * velocity[0]))
-
-
-@dataclass(frozen=True, eq=False)
-class Drives:
-    """Search for velocities along the flight in an image.
-
-    Attributes:
-        search: search with spectra of whole rows.
-        cells: number n of cells, see above.
+        cells: number n of cells (`courses`).
         speed: speed of the platform, m/s.
         blur: standard deviation of the smear of targets at rest, cells.
     """
 
-    search: Search
     cells: float
     speed: float
     blur: float
 
     @classmethod
-    def of(cls, search: Search, slc: Slc, sensor: Sensor) -> Self:
-        """The search in an image, whose whole rows `search` has."""
+    def of(cls, bins: Bins, slc: Slc, sensor: Sensor) -> Self:
+        """Those in an image whose spectra have these bins."""
         grid = slc.grid
         middle = grid.middle
         slant_range = float(np.linalg.norm(middle - aperture_at(middle, slc.aperture).position))
-        cells = 2 * search.bins.angle**2 * slant_range / sensor.wavelength
+        cells = 2 * bins.angle**2 * slant_range / sensor.wavelength
         speed = float(np.linalg.norm(slc.aperture.velocity))
         place = slc.placement.beams_error * slant_range / speed
         # Each half of the aperture is in another block.
-        return cls(search, cells, speed, 2 * np.sqrt(2) * place / (search.bins.cell * grid.col_spacing))
+        return cls(cells, speed, 2 * np.sqrt(2) * place / (bins.cell * grid.col_spacing))
 
-    def blurred(self, velocity: tuple[float, float]) -> tuple[float, float]:
-        """A velocity by migration, and its standard deviation with the error of the Doppler rate by defocus, m/s."""
-        return velocity[0], float(np.hypot(velocity[1], self.blur / self.cells * velocity[0]))
+    def smears(self, fastest: float, most: float) -> F64:
+        """Smears of targets of up to some velocity along the flight (m/s), cells; not more than some."""
+        fastest = min(fastest, 0.5 * self.speed)
+        ends = [self.cells * ((1 - along / self.speed) ** -2 - 1) for along in (-fastest, fastest)]
+        first, last = (round(float(np.clip(end, -most, most)) / SMEAR_STEP) for end in ends)
+        return SMEAR_STEP * np.arange(first, last + 1, dtype=np.float64)
 
-    def look(self, spectra: C128, elevation: float) -> Drive | None:
-        """Velocity of a target along the flight; None: no smear is found.
+    def share(self, smear: float) -> float:
+        """Speed with which a target passes the beam, over that of the platform: 1 - u / v."""
+        return float(max(1 + smear / self.cells, 0.1) ** -0.5)
 
-        The image in focus must have half a dB more power than that out of focus, and 0.7 of that of a point: those of
-        24 to 34 dB over the cells of a street reach 0.85.
+    def velocities(
+        self, smear: tuple[float, float], radial: tuple[float, float]
+    ) -> tuple[tuple[float, float], tuple[float, float] | None, tuple[float, float]]:
+        """Smear, velocity along the flight, and radial velocity corrected for the rate of the Doppler, with sigmas.
+
+        The second is None where the image of each block has a smear of its own: bright targets that move turn what
+        autofocus finds.
 
         Args:
-            spectra: spectra of the channels in its row, or along its migration, shape (bins, channels).
-            elevation: elevation, rad.
+            smear: smear of a target, and its standard deviation, cells.
+            radial: radial velocity by its migration, and its standard deviation, m/s.
         """
-        bins = self.search.bins
-        line = _line(self.search, spectra, elevation)
-        most = len(line) // 2
-        smear_step = 1.0  # step of the smears of the search for the sharpest image, cells
-        smears = np.arange(-most, most + smear_step / 2, smear_step)
-        places, waves = _places(bins)
-        focused = line * np.exp(-1j * np.pi * smears[:, None] * bins.frequencies**2)
-        power = np.abs(focused @ waves) ** 2
-        brightest = power.max(axis=1)
-        best = int(np.clip(brightest.argmax(), 1, len(smears) - 2))
-        sharper = brightest[best] / brightest[len(smears) // 2]
-        share = brightest[best] / np.sum(np.abs(line)) ** 2  # 1: a point in focus
-        if sharper < 10**0.05 or share < 0.7:
-            return None
-        smear = float(smears[best] + smear_step * vertex(*brightest[best - 1 : best + 2])[0])
-        place = float(places[power[best].argmax()])
-        rate = 1 + smear / self.cells
-        if rate <= 0:
-            return None
-        along, per_cell = self.speed * (1 - rate**-0.5), self.speed * rate**-1.5 / (2 * self.cells)
-        published = None if self.blur else (along, per_cell)  # other targets change the smear by a cell
-        col = bins.pixels // 2 + round(place * bins.cell)
-        in_focus = spectra.T * np.exp(-1j * np.pi * smear * bins.frequencies**2)
-        return Drive(published, smear / self.cells, self.speed, col, bins.image(in_focus))
+        share = self.share(smear[0])
+        # Other targets change a smear by a cell.
+        sigma = math.hypot(1.0, smear[1], self.blur)
+        velocity = share**2 * radial[0]
+        # Points at rest in neighbouring rows turn a migration, those of blocks that autofocus leaves blurred by more.
+        turned = 1.0 if self.blur else 0.3
+        unsure = math.hypot(turned, share**2 * radial[1], share**2 * velocity * sigma / self.cells)
+        along = None if self.blur else (self.speed * (1 - share), self.speed * share**3 * sigma / (2 * self.cells))
+        return (smear[0], sigma), along, (velocity, unsure)
 
 
 def is_in_focus(search: Search, spectra: C128, elevation: float) -> bool:
@@ -213,8 +190,15 @@ def check_sensor(sensor: Sensor) -> None:
         )
 
 
-def find_movers(images: C64 | C128, beams: Beams, slc: Slc, sensor: Sensor, settings: MoverSettings) -> Looked:
-    """Find what moves in an image of a strip.
+def search_strip(
+    images: C64 | C128,
+    beams: Beams,
+    slc: Slc,
+    sensor: Sensor,
+    settings: MoverSettings,
+    columns: tuple[int, int],
+) -> tuple[Looked, list[StripMover]]:
+    """Find what moves in columns of an image of a strip.
 
     Args:
         images: images of channels of independent noise of one power, shape (channels, rows, cols).
@@ -222,32 +206,88 @@ def find_movers(images: C64 | C128, beams: Beams, slc: Slc, sensor: Sensor, sett
         slc: image from which these channels were combined.
         sensor: sensor of the image.
         settings: settings of the search.
+        columns: first column in which movers are looked for, and the one after the last.
+
+    Returns:
+        Result of the search, and its movers with their images.
 
     Raises:
         Rejected: the image has too few columns.
     """
     least = 16  # columns of the shortest spectrum, the minimum of chip_pixels
-    if images.shape[-1] < least:
+    pixels = images.shape[-1]
+    if pixels < least:
         raise Rejected(
             "few columns",
-            f"An image of a strip has {images.shape[-1]} columns; {least} are needed to find movers (parameter "
+            f"An image of a strip has {pixels} columns; {least} are needed to find movers (parameter "
             "cols of sar_compression).",
         )
     images = about_ranges(np.where(np.isfinite(images), images, 0), slc, sensor)
-    bins = Bins.of(slc, sensor, min(settings.chip_pixels, images.shape[-1] // 2 * 2))
+    chip = min(settings.chip_pixels, pixels // 2 * 2)
+    bins = Bins.of(slc, sensor, chip)
     coarse_step = 0.08  # step between the lags of the first search, beamwidths
     search, coarse = Search(images, beams, bins), Search(images, beams, bins, coarse_step)
-    whole = Bins.of(slc, sensor, images.shape[-1])
+    whole = Bins.of(slc, sensor, pixels)
     ground = ground_lag(slc, sensor, search.lags, lambda: spectra_of_image(images, beams, whole, search.lags))
-    migrations = Migrations.of(coarse, slc, sensor, settings.fastest_mps, ground[0])
-    of_rows = Migrations.of(Search(images, beams, whole, coarse_step), slc, sensor, settings.fastest_mps, ground[0])
-    drives = Drives.of(of_rows.search, slc, sensor)
-    looking = _Looking(search, migrations, of_rows, drives, ground, slc, sensor)
-    migrating, looked_at = looking.for_migration(settings)
-    lagging, candidates = looking.for_lags(settings)
-    apart = [one for one in lagging if not any(_in_image_of(one, other, migrations) for other in migrating)]
-    fastest = min(settings.fastest_mps, float(migrations.speeds[-1]))
-    return Looked(without_ambiguities([*migrating, *apart]), looked_at + candidates, ground, fastest)
+    migrations = Migrations.of(coarse, slc, sensor, settings.fastest_mps)
+    # All of the band: a mover may have its spectrum at an end of it.
+    of_rows = Search(images, beams, Bins.of(slc, sensor, pixels, ALL_BINS), coarse_step)
+    focus = Search(images, beams, Bins.of(slc, sensor, chip, ALL_BINS), widest=2.2)
+    driving = Driving.of(of_rows.bins, slc, sensor)
+    # Smears whose parts of the band are in the image.
+    most = max(pixels / 2, pixels - (columns[1] - columns[0])) / of_rows.bins.cell
+    around = Bins.of(slc, sensor, min(2 * chip, pixels // 2 * 2), ALL_BINS)
+    rows = Migrations.of(of_rows, slc, sensor, settings.fastest_mps)
+    # Where each block is placed with an error of its own, the image of a point is several.
+    together = 5 if driving.blur else 3
+    courses = Courses(rows, around, driving.smears(settings.fastest_mps, most), columns, together)
+    looking = _Looking(search, focus, migrations, courses, driving, ground, slc, sensor)
+    found, looked_at = looking.for_courses(settings)
+    lagging, candidates = looking.for_lags(settings, columns)
+    movers = _without_traces([*found, *lagging])
+    blind = blind_fractions(search, driving.speed, ground[1], sensor)
+    surest = without_ambiguities(one.mover for one in movers)
+    looked = Looked(surest, looked_at + candidates, ground, migrations.fastest, blind)
+    return looked, [one for one in movers if any(one.mover is mover for mover in surest)]
+
+
+def find_movers(images: C64 | C128, beams: Beams, slc: Slc, sensor: Sensor, settings: MoverSettings) -> Looked:
+    """Find what moves in an image of a strip, without those before and after it; arguments as of `search_strip`."""
+    return search_strip(images, beams, slc, sensor, settings, (0, images.shape[-1]))[0]
+
+
+def _without_traces(found: Sequence[StripMover]) -> list[StripMover]:
+    """The movers without parts and azimuth ambiguities of likelier ones."""
+    return [one for one in found if not any(one.is_trace_of(other) for other in found)]
+
+
+def blind_fractions(search: Search, speed: float, ground_sigma: float, sensor: Sensor) -> tuple[Blind, ...]:
+    """Fractions of radial velocities that the lag does not show, for points of 15, 20, 25 and 30 dB.
+
+    A point whose spectrum has the amplitudes g(aspect + lag) and an unknown complex amplitude has, with the energy E
+    over the background, the Fisher information 2 E (|g'|^2 / |g|^2 - (g g')^2 / |g|^4) of its lag.
+
+    Args:
+        search: search with the bins of the spectra.
+        speed: speed of the platform, m/s.
+        ground_sigma: standard deviation of the lag of the ground, rad.
+        sensor: sensor of the image.
+    """
+    beams, step = search.beams, 0.01 * search.beams.track_beamwidth
+    gains = search.bins.amplitudes(beams, float(np.mean(beams.span)), step * np.array([-1.0, 0.0, 1.0]))
+    before, there, after = np.linalg.norm(gains, axis=-1)
+    slope, power = (after - before) / (2 * step), float(there @ there)
+    shape = float(slope @ slope) / power - (float(there @ slope) / power) ** 2
+    bend = np.linalg.norm((before + after - 2 * there) / step**2) / np.sqrt(power)
+    period, found = sensor.wavelength * sensor.pulse_repetition_frequency / 2, []
+    for cnr_db in (15.0, 20.0, 25.0, 30.0):
+        energy = 10 ** (cnr_db / 10)
+        energy /= 1 + MODEL_ERROR * energy / len(there)
+        # In the middle of the beam its gain has no slope: the lag is known as far as the bend shows it.
+        sigma = min(1 / np.sqrt(2 * energy * max(shape, 1e-30)), (2 / energy) ** 0.25 / np.sqrt(bend))
+        sigma = speed * float(np.hypot(sigma, ground_sigma))
+        found.append(Blind(cnr_db, sigma, min(1.0, 2 * sigma / period)))
+    return tuple(found)
 
 
 def bright_pixels(power: F64, background: F64, prominence_db: float, mode: Literal["reflect", "wrap"]) -> Bool:
@@ -277,37 +317,46 @@ def _candidates(power: F64, prominence_db: float) -> Index:
 
 @dataclass(frozen=True, eq=False)
 class _Looking:
-    """The search in an image; `of_rows` has spectra of whole rows, from which `drives` estimates smears."""
+    """The search in an image; `focus` has spectra of all of the band."""
 
     search: Search
+    focus: Search
     migrations: Migrations
-    of_rows: Migrations
-    drives: Drives
+    courses: Courses
+    driving: Driving
     ground: tuple[float, float]
     slc: Slc
     sensor: Sensor
 
-    def for_lags(self, settings: MoverSettings) -> tuple[list[Mover], int]:
-        """Movers that the beam sees under another aspect than the ground, and the number of candidate pixels."""
+    def for_lags(self, settings: MoverSettings, columns: tuple[int, int]) -> tuple[list[StripMover], int]:
+        """Movers that the beam sees under another aspect than the ground, and the number of candidate pixels.
+
+        Args:
+            settings: settings of the search.
+            columns: first column in which movers are looked for, and the one after the last.
+        """
         candidates = _candidates(np.sum(np.abs(self.search.images) ** 2, axis=0), settings.prominence_db)
+        candidates = candidates[(candidates[:, 1] >= columns[0]) & (candidates[:, 1] < columns[1])]
         threshold = 2 * np.log(HYPOTHESES / settings.false_alarm_rate)
         found = []
         for seen in self.search.at(self._screened(candidates, threshold)):
-            ratio = _ratio(seen, self.search.lags, self.ground[0])
+            ratio = self._lag_ratio(seen, self.search.lags)
             if ratio < threshold or not self._is_inside(seen.likelihoods):
                 continue
-            row, col = round(seen.row), round(seen.col)
-            migration = self.migrations.look(row, col, len(self.migrations.speeds) // 2)
-            if migration is None:
+            migration = self.migrations.look(round(seen.row), round(seen.col))
+            # What migrates would have been found by its course.
+            if migration is None or abs(migration.speed) > MIGRATING * migration.sigma:
                 continue
-            if abs(migration.speed) < MIGRATING * migration.sigma:
-                found += self._mover(seen, ratio, migration)
+            elevation = self.search.elevation(seen.spectra, float(self.search.lags[seen.likelihoods.argmax()]))
+            if elevation is None or not is_in_focus(self.search, seen.spectra, elevation[0]):
                 continue
-            # A single row contains it in a part of the bins only, and so with another lag.
-            for along in self.search.of(migration.spectra[None], np.array([row]), np.array([col])):
-                ratio = _ratio(along, self.search.lags, self.ground[0])
-                if ratio > threshold and self._is_inside(along.likelihoods):
-                    found += self._mover(along, ratio, migration, migrates=True)
+            velocity = (
+                migration.speed,
+                math.hypot(migration.sigma, self.driving.blur / self.driving.cells * migration.speed),
+            )
+            own = self._lag(seen.likelihoods, self.search.lags)
+            measured = MoverMeasurement(seen.row, seen.col, seen.cnr, elevation, own, velocity, False, ratio)
+            found.append(self._mover(measured, 0.0))
         return found, len(candidates)
 
     def _screened(self, pixels: Index, threshold: float) -> Index:
@@ -316,50 +365,80 @@ class _Looking:
         # A lag half way between two has up to 7 more, if its standard deviation is the least that MODEL_ERROR leaves,
         # 0.015 beamwidths.
         lost = 8.0
-        maybe = [
-            seen.pixel for seen in coarse.at(pixels) if _ratio(seen, coarse.lags, self.ground[0]) > threshold - lost
-        ]
+        maybe = [seen.pixel for seen in coarse.at(pixels) if self._lag_ratio(seen, coarse.lags) > threshold - lost]
         return np.array(maybe, np.intp).reshape(-1, 2)
 
-    def for_migration(self, settings: MoverSettings) -> tuple[list[Mover], int]:
-        """Movers that migrate through rows while the beam passes them, and the number of candidate pixels."""
+    def for_courses(self, settings: MoverSettings) -> tuple[list[StripMover], int]:
+        """Movers whose smear or range migration shows that they move, and the number of candidate pixels."""
         if settings.fastest_mps == 0:
             return [], 0
-        powers = np.array(list(self.migrations.powers()))
-        candidates = _candidates(powers.max(axis=0), settings.prominence_db)
-        threshold = 2 * np.log(HYPOTHESES * len(powers) / settings.false_alarm_rate)
-        found = []
-        for row, col in candidates.tolist():
-            migration = self.migrations.look(row, col, int(powers[:, row, col].argmax()), threshold)
-            if migration is None or abs(migration.speed) < MIGRATING * migration.sigma:
-                continue
-            for seen in self.search.of(migration.spectra[None], np.array([row]), np.array([col])):
-                if self._is_inside(seen.likelihoods):
-                    found += self._mover(seen, migration.likelihood_ratio, migration, migrates=True)
-        return found, len(candidates)
+        # The parts of the band add up without their phases.
+        candidates = self.courses.candidates(2 * 10 ** (settings.prominence_db / 10))
+        threshold = 2 * np.log(HYPOTHESES * self.courses.hypotheses / settings.false_alarm_rate)
+        courses = [self.courses.look(bright, threshold) for bright in candidates]
+        movers = [self._driving(course) for course in courses if course]
+        return [one for one in movers if one], len(candidates)
 
-    def _mover(self, seen: Seen, ratio: float, migration: Migration, migrates: bool = False) -> list[Mover]:
-        """The mover of a pixel; empty: it is at an end of the array, or out of focus."""
-        elevation = self.search.elevation(seen.spectra, float(self.search.lags[seen.likelihoods.argmax()]))
-        if elevation is None:
-            return []
-        row, velocity = migration.row if migrates else seen.row, (migration.speed, migration.sigma)
-        search, along = self.search, None
-        drive = self.drives.look(self.of_rows.spectra(row, migration.speed if migrates else 0.0), elevation[0])
-        if drive:
-            # A Doppler frequency is that of a greater aspect, and of a later time, than for a target at rest.
-            search = replace(search, bins=search.bins.slowed(drive.share))
-            focused = self._in_focus(search, seen, drive)
-            if focused is None:
-                return []
-            (seen, elevation), along = focused, drive.along
-        if not is_in_focus(search, seen.spectra, elevation[0]):
-            return []
-        velocity = self.drives.blurred(drive.slowed(velocity) if drive else velocity)
-        lag, sigma = peak_of(seen.likelihoods, search.lags)
-        own = lag - self.ground[0], math.hypot(sigma, self.ground[1], self._left_in_blocks)
-        sighting = MoverMeasurement(row, seen.col, seen.cnr, elevation, own, velocity, migrates, ratio, along)
-        return [mover_of(sighting, self.slc, self.sensor)]
+    def _mover(self, measured: MoverMeasurement, smear: float) -> StripMover:
+        """A mover with its image, which is smeared over some cells."""
+        grid, courses = self.slc.grid, self.courses.rows
+        point = grid.points(measured.row, measured.col)
+        slant_range = float(np.linalg.norm(point - aperture_at(point, self.slc.aperture).position))
+        mover = mover_of(measured, self.slc, self.sensor)
+        return StripMover(
+            mover,
+            float(point @ grid.col_direction),
+            abs(smear) * courses.search.bins.cell * grid.col_spacing,
+            abs(measured.migration[0]) / courses.speed_of_row if measured.migrates else 0.0,
+            slant_range * mover.ambiguity / self.driving.speed,
+        )
+
+    def _driving(self, course: FocusedTarget) -> StripMover | None:
+        """The mover of a target in focus; None: its elevation or its lag is at an end of those that are known."""
+        bins = self.courses.rows.search.bins
+        spectra = self.courses.rows.spectra(course.row, course.speed[0])
+        undone = spectra.T * np.exp(-1j * np.pi * course.smear[0] * bins.frequencies**2)
+        col = bins.pixels // 2 + round(course.place * bins.cell)
+        pixels = self.focus.bins.pixels
+        # A Doppler frequency is that of a greater aspect, and of a later time, than for a target at rest.
+        share = 0.04 * round(self.driving.share(course.smear[0]) / 0.04)  # so that likelihoods are computed once
+        focus = replace(self.focus, bins=self.focus.bins.slowed(share))
+        from_middle = np.arange(pixels) - pixels // 2
+        chip = np.take(bins.image(undone), col + from_middle, axis=-1, mode="wrap")
+        seen = focus.in_focus(focus.bins.spectra(chip).T, round(course.row), float(col), course.elevation)
+        # The ground around it has another elevation.
+        near = focus.bins.spectra(np.where(np.abs(from_middle) <= MARGIN, chip, 0)).T
+        elevation = focus.elevation(near, float(focus.lags[seen.likelihoods.argmax()]), course.elevation)
+        # Beyond, an antenna sees an azimuth ambiguity through its sidelobes.
+        beyond = abs(focus.lags[seen.likelihoods.argmax()]) > self.search.widest * focus.beams.track_beamwidth
+        if elevation is None or beyond:
+            return None
+        smear, along, velocity = self.driving.velocities(course.smear, course.speed)
+        drives = abs(smear[0]) > MIGRATING * smear[1]
+        if not drives and abs(velocity[0]) < MIGRATING * velocity[1]:
+            return None
+        lag, sigma = self._lag(seen.likelihoods, focus.lags)
+        # What errors of the smear leave, and at an end of the band the ambiguity at the other end.
+        width = focus.beams.track_beamwidth
+        own = lag, math.hypot(sigma, (0.15 if abs(lag) > 0.75 * width else 0.04) * width)
+        ratio = course.likelihood_ratio
+        measured = MoverMeasurement(
+            course.row, seen.col, seen.cnr, elevation, own, velocity, True, ratio, along, along_known=drives
+        )
+        return self._mover(measured, course.smear[0])
+
+    def _lag(self, likelihoods: F64, lags: F64) -> tuple[float, float]:
+        """Lag over that of the ground, and its standard deviation, rad."""
+        lag, sigma = peak_of(likelihoods, lags)
+        return lag - self.ground[0], math.hypot(sigma, self.ground[1], self._left_in_blocks)
+
+    def _lag_ratio(self, seen: Seen, lags: F64) -> float:
+        """Twice the logarithm of the likelihood ratio of the best lag against the ground, whose lag is not exact."""
+        sigma = math.hypot(self.ground[1], self._left_in_blocks)
+        if not sigma:
+            return float(2 * (seen.likelihoods.max() - _at(self.ground[0], lags, seen.likelihoods)))
+        still = seen.likelihoods - ((lags - self.ground[0]) / sigma) ** 2 / 2
+        return float(2 * (seen.likelihoods.max() - still.max()))
 
     @property
     def _left_in_blocks(self) -> float:
@@ -370,24 +449,9 @@ class _Looking:
         """
         return 0.1 * self.search.beams.track_beamwidth if self.slc.placement.beams_error else 0.0
 
-    def _in_focus(self, search: Search, seen: Seen, drive: Drive) -> tuple[Seen, tuple[float, float]] | None:
-        """The pixel and its elevation by its image in focus; None: it is at an end of the array or of the lags."""
-        cols = np.array([drive.col])
-        chip = drive.row[:, search.first(cols)[0] + np.arange(search.bins.pixels)]
-        for one in search.of(search.bins.spectra(chip).T[None], np.array([seen.pixel[0]]), cols):
-            elevation = search.elevation(one.spectra, float(search.lags[one.likelihoods.argmax()]))
-            if elevation and self._is_inside(one.likelihoods):
-                return one, elevation
-        return None
-
     def _is_inside(self, likelihoods: F64) -> bool:
         """True if the best lag is not an outermost one."""
         return bool(0 < likelihoods.argmax() < len(likelihoods) - 1)
-
-
-def _ratio(seen: Seen, lags: F64, ground: float) -> float:
-    """Twice the logarithm of the likelihood ratio of the best lag against that of the ground (rad)."""
-    return float(2 * (seen.likelihoods.max() - _at(ground, lags, seen.likelihoods)))
 
 
 def _at(lag: float, lags: F64, likelihoods: F64) -> float:
@@ -396,9 +460,3 @@ def _at(lag: float, lags: F64, likelihoods: F64) -> float:
     before, there, after = likelihoods[best - 1 : best + 2].tolist()
     off = float(np.clip((lag - lags[best]) / (lags[1] - lags[0]), -1, 1))
     return float(there + off * (after - before) / 2 + off**2 * (after + before - 2 * there) / 2)
-
-
-def _in_image_of(one: Mover, other: Mover, migrations: Migrations) -> bool:
-    """True if a mover without migration may be part of the image of one that migrates, two rows around its path."""
-    rows = abs(other.walk_velocity) / migrations.speed_of_row / 2 + 2.0
-    return abs(one.row - other.row) <= rows and abs(one.col - other.col) <= 2 * MARGIN

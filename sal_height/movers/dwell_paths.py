@@ -25,7 +25,7 @@ from sal_height.geometry import locate_at_elevation
 from sal_height.imaging import Slc
 from sal_height.movers.dwell_images import DwellImage
 from sal_height.movers.likelihood import MODEL_ERROR, POWERS_IN_DWELLS, ratio_in_dwells
-from sal_height.movers.migration import LEAST_PART, REACH
+from sal_height.movers.migration import REACH
 from sal_height.movers.search import ELEVATION_STEP, ground_lag
 from sal_height.movers.spectrum import point_response
 from sal_height.numeric import C64, C128, F64, Bool, Index
@@ -33,6 +33,10 @@ from sal_height.sensor import Sensor
 
 FARTHEST = 3.2
 """Largest squint in the middle dwell, beamwidths along the flight."""
+
+
+LEAST_PART = 0.5
+"""Least fraction of the amplitude of a target's response within the image, and without that of the targets before."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,10 +14,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sal_height.movers.dwell_images import COLUMN_STEPS
-from sal_height.movers.dwell_paths import Course, DwellPaths, Sight
+from sal_height.movers.dwell_paths import LEAST_PART, Course, DwellPaths, Sight
 from sal_height.movers.likelihood import MODEL_ERROR, ratio_in_dwells, ratio_over_rows
-from sal_height.movers.migration import DEPTHS, FINE_STEP, LEAST_PART, NEIGHBOURS
+from sal_height.movers.migration import FINE_STEP
 from sal_height.numeric import C128, F64, Bool, Index
+
+NEIGHBOURS = 3
+"""Number of targets at rest in the same rows that may together look like one that migrates."""
+
+DEPTHS = (0.35, 0.7, 1.4, 2.8)
+"""Rms widths in range of clouds at rest, in addition to thin ones, rows."""
 
 
 def standing_instead(

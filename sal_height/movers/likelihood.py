@@ -24,7 +24,6 @@ clutter alone is (Kay, Fundamentals of Statistical Signal Processing II, 1998, s
 - In a strip a cloud has the rms width w along the flight about its centre, A_kl = exp(-2 (pi w (f_k - f_l))^2). A point
   is w = 0, whose spectrum is the beam's amplitude; speckle is a wide cloud, each bin by itself.
 - The phase from dwell to dwell is unknown, and speckle differs from each to the next: A is the unit matrix.
-- A cloud that is spread over range has the coherence A in each row, and rows that are coherent as its response is wide.
 
 A point that is as bright in every dwell, but for errors of the beam, has amplitudes of known power and unknown phase
 (Kay, section 7.6):
@@ -204,25 +203,8 @@ class LagLikelihood:
         likelihood[:, self._with_sidelobes] = np.maximum(likelihood[:, self._with_sidelobes], dark)
         return likelihood
 
-    def of_rows(self, spectra: C128, lag: int, covariances: F64) -> float:
-        """Logarithm of the likelihood ratio of clouds that are spread over range, equation (1), its greatest.
 
-        Args:
-            spectra: spectra m of rows about the centre of a target, background 1, shape (bins, rows).
-            lag: number of the lag.
-            covariances: covariances of rows for some spreads of clouds of power 1, shape (spreads, rows, rows).
-        """
-        modes, powers, _, _ = self._modes
-        dark = len(self.known) + int(np.sum(self._with_sidelobes[:lag]))
-        cases = [lag, dark] if self._with_sidelobes[lag] else [lag]
-        fractions, parts = np.linalg.eigh(covariances)
-        both = powers[cases, :, None, :, None] * np.maximum(fractions, 0.0)[:, None, :]
-        amplitudes = (modes[cases] @ spectra)[:, :, None] @ parts
-        energy = np.abs(amplitudes) ** 2
-        return max(float(cloud_ratio(energy, power * both, (-2, -1)).max()) for power in POWERS[::2])
-
-
-@lru_cache(maxsize=16)  # for the next images; 10 MB each
+@lru_cache(maxsize=32)  # for the next images; 10 MB each
 def _cached(frequencies: bytes, gains: bytes, known: bytes, lags: int) -> LagLikelihood:
     return LagLikelihood(
         np.frombuffer(frequencies),

@@ -70,6 +70,34 @@ class Mover:
 
 
 @dataclass(frozen=True, eq=False)
+class StripMover:
+    """A mover in a strip, and its image.
+
+    Attributes:
+        mover: mover.
+        along: position of its image in focus along the flight, m.
+        length: length of its image out of focus, m.
+        rows: number of rows through which it migrates.
+        ambiguity: distance of the images of its azimuth ambiguities along the flight, m.
+    """
+
+    mover: Mover
+    along: float
+    length: float
+    rows: float
+    ambiguity: float
+
+    def is_trace_of(self, other: StripMover) -> bool:
+        """True if it may be a part of the image of another that is likelier, or an azimuth ambiguity of that."""
+        if self.mover.likelihood_ratio >= other.mover.likelihood_ratio:
+            return False
+        apart, near = abs(self.along - other.along), other.length + 0.05 * other.ambiguity
+        beside = abs(self.mover.row - other.mover.row) <= other.rows / 2 + 3
+        dim = self.mover.likelihood_ratio < 0.3 * other.mover.likelihood_ratio
+        return beside and (apart < near or (dim and apart < 1.3 * other.ambiguity))
+
+
+@dataclass(frozen=True, eq=False)
 class Looked:
     """Result of the search in an image.
 
@@ -78,12 +106,32 @@ class Looked:
         candidates: number of candidate pixels, for a lag or for a migration.
         ground_lag: lag of the ground, and its standard deviation, rad.
         fastest: largest radial velocity whose migration was searched, m/s.
+        blind: fraction of radial velocities that the lag does not show, for movers of some brightness (`Blind`).
     """
 
     movers: tuple[Mover, ...]
     candidates: int
     ground_lag: tuple[float, float]
     fastest: float
+    blind: tuple[Blind, ...] = ()
+
+
+@dataclass(frozen=True)
+class Blind:
+    """Fraction of radial velocities that are blind: those whose remainder cannot be separated from the ground's.
+
+    Pulses show a radial velocity modulo its ambiguity. Where the remainder is within its standard deviation of that of
+    the ground, the lag does not show that a target moves; its range migration or its smear along the flight may.
+
+    Attributes:
+        cnr_db: power of a point over the background, dB.
+        sigma: standard deviation of the remainder, m/s.
+        fraction: fraction of velocities whose remainder is less than that.
+    """
+
+    cnr_db: float
+    sigma: float
+    fraction: float
 
 
 @dataclass(frozen=True)

@@ -120,12 +120,14 @@ class Search:
         beams: beams of these channels, in one direction.
         bins: bins of the spectra.
         step: step from one lag to the next, beamwidths along the flight.
+        widest: greatest lag. A target with that or more is seen through sidelobes only, and not published.
     """
 
     images: C64 | C128
     beams: Beams
     bins: Bins
     step: float = STEP
+    widest: float = 1.1
 
     @cached_property
     def lags(self) -> F64:
@@ -158,6 +160,22 @@ class Search:
                 float(powers[number] / backgrounds[number]),
                 spectra[number],
             )
+
+    def in_focus(self, spectra: C128, row: int, middle: float, elevation: float) -> Seen:
+        """A target of known elevation (rad), by spectra of the pixels in focus, shape (bins, channels).
+
+        Args:
+            spectra: spectra of the pixels.
+            row: row of the target.
+            middle: column about which the spectra are taken, in fractions.
+            elevation: elevation, rad.
+        """
+        known, power = np.array([elevation]), float(np.mean(np.sum(np.abs(spectra) ** 2, axis=-1)))
+        background = float(self.backgrounds(np.array([row]), known)[0])
+        noise = np.array([max(background, MODEL_ERROR * power)])
+        likelihoods, centres = self.likelihoods(spectra[None], known, noise)
+        col = middle + float(centres[0]) * self.bins.pixels / len(self.bins.numbers)
+        return Seen((row, round(middle)), float(row), col, elevation, likelihoods[0], power / background, spectra)
 
     def spectra(self, rows: Index, cols: Index) -> C128:
         """Spectra of the pixels along the flight around some, shape (targets, bins, channels)."""
@@ -202,12 +220,6 @@ class Search:
             shape = self._shape(middle + number * step) if number else common
             yield LagLikelihood.cached(self._nominal.frequencies, shape, self._known), np.flatnonzero(steps == number)
 
-    def likelihood_at(self, elevation: float) -> LagLikelihood:
-        """The likelihood of targets at an elevation."""
-        elevations = np.array([elevation])
-        gains = np.linalg.norm(self.bins.amplitudes(self.beams, elevations[:, None, None], self.lags), axis=-1)
-        return next(self._alike(elevations, gains))[0]
-
     def _shape(self, elevation: float) -> F64:
         """Gains for each lag at an elevation, over the greatest."""
         amplitudes = self._nominal.amplitudes(self.beams, elevation, self._lags)
@@ -221,11 +233,8 @@ class Search:
 
     @cached_property
     def _lags(self) -> F64:
-        """Lags of the nominal bins, rad.
-
-        A target with the greatest lag or more is seen through sidelobes only, and not published.
-        """
-        steps = round(1.1 / self.step)  # beamwidths along the flight
+        """Lags of the nominal bins, rad."""
+        steps = round(self.widest / self.step)
         return self.beams.track_beamwidth * self.step * np.arange(-steps, steps + 1, dtype=np.float64)
 
     @cached_property
@@ -242,18 +251,19 @@ class Search:
         return row + 0.5 * float(np.clip(2 * vertex(*np.log(power + 1e-300))[0], -1, 1))
 
     @cached_property
-    def _elevation_grid(self) -> F64:
+    def elevation_grid(self) -> F64:
+        """Elevations of the search, rad."""
         low, high = self.beams.domain(0.0)
         return np.arange(low, high, ELEVATION_STEP * self.beams.beamwidth)
 
     @cached_property
     def _elevation_beams(self) -> F64 | C128:
         """Beams for a target at rest at each of the elevations, shape (elevations, bins, channels)."""
-        return self.beams.response(self._elevation_grid[:, None], self.bins.aspects)
+        return self.beams.response(self.elevation_grid[:, None], self.bins.aspects)
 
     def elevations(self, spectra: C128) -> F64:
         """The most likely elevations of targets at rest, shape (targets,); NaN: that of an outer beam."""
-        grid, amplitudes = self._elevation_grid, self._elevation_beams
+        grid, amplitudes = self.elevation_grid, self._elevation_beams
         gains = np.mean(np.sum(np.abs(amplitudes) ** 2, axis=-1), axis=-1)
         in_bins = np.einsum("ebc,tbc->etb", amplitudes.conj(), spectra, optimize=True)
         explained = np.sum(np.abs(in_bins) ** 2, axis=-1) / gains[:, None]
@@ -263,14 +273,17 @@ class Search:
                 found[target] = grid[best] + (grid[1] - grid[0]) * vertex(*values[best - 1 : best + 2])[0]
         return found
 
-    def elevation(self, spectra: C128, lag: float) -> tuple[float, float] | None:
+    def elevation(self, spectra: C128, lag: float, about: float = np.nan) -> tuple[float, float] | None:
         """The most likely elevation of a target with a lag, and its standard deviation; None: that of an outer beam.
 
-        Errors are those of the power that the target does not explain, and not less than parts of the bins differ:
-        another surface in the same cell turns against the target from bin to bin.
+        If it is about a known one (rad), others, such as that of the ground, do not count. Errors are those of the
+        power that the target does not explain, and not less than parts of the bins differ: another surface in the same
+        cell turns against the target from bin to bin.
         """
-        grid = self._elevation_grid
+        grid = self.elevation_grid
         step = ELEVATION_STEP * self.beams.beamwidth
+        if np.isfinite(about):
+            grid = grid[np.abs(grid - about) < 0.5 * self.beams.beamwidth]
         amplitudes = self.beams.response(grid[:, None], self.bins.aspects + lag)
         in_bins = np.abs(np.sum(amplitudes.conj() * spectra, axis=-1)) ** 2
         gains = np.mean(np.sum(np.abs(amplitudes) ** 2, axis=-1), axis=-1)

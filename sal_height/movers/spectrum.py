@@ -58,13 +58,13 @@ class Bins:
     angle: float
 
     @classmethod
-    def of(cls, slc: Slc, sensor: Sensor, pixels: int) -> Self:
+    def of(cls, slc: Slc, sensor: Sensor, pixels: int, least: float = 0.35) -> Self:
         """The bins of a number of pixels of a row of an image: those with 0.35 of the largest weight, at least."""
         angle = processed_angle(sensor)
         off = column_aspects(slc, sensor, pixels)
         taper = Processing(azimuth_window=slc.azimuth_window, angle=angle)
         weights = taper.angle_weights(off, np.full(pixels, sensor.wavelength / (2 * slc.grid.col_spacing * pixels)))
-        used = np.flatnonzero((weights > 0.35 * weights.max()) & (np.abs(off) <= angle / 2))
+        used = np.flatnonzero((weights > least * weights.max()) & (np.abs(off) <= angle / 2))
         used = used[np.argsort(off[used])]
         weights = weights[used] / np.sqrt(np.mean(weights[used] ** 2))
         return cls(pixels, used, off[used], weights, angle)

@@ -8,7 +8,7 @@ from sal_height.pipeline.beam_errors import known_beams
 from sal_height.pipeline.channels import channel_sets, channels_and_beams, live_channels
 from sal_height.pipeline.dwell import Compressor, corrected_spectrum, elevations, heights, heights_of_dwells
 from sal_height.pipeline.instrument import range_covariance
-from sal_height.pipeline.moving import dwell_with_movers, movers
+from sal_height.pipeline.moving import dwell_with_movers, movers, strip_with_movers
 
 __all__ = [
     "Compressor",
@@ -23,4 +23,5 @@ __all__ = [
     "live_channels",
     "movers",
     "range_covariance",
+    "strip_with_movers",
 ]

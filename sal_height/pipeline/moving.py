@@ -11,7 +11,15 @@ from sal_height.calibration import Calibration
 from sal_height.elevation import ESTIMATORS
 from sal_height.errors import Rejected, UserError
 from sal_height.imaging import Slc
-from sal_height.movers import DwellImage, Looked, MoverSettings, ShownDwell, check_sensor, find_movers
+from sal_height.movers import (
+    DwellImage,
+    Looked,
+    MoverSettings,
+    ShownDwell,
+    StripImage,
+    check_sensor,
+    find_movers,
+)
 from sal_height.numeric import C128, one_blas_thread
 from sal_height.pipeline.channels import channels_and_beams, live_channels
 from sal_height.sensor import Sensor
@@ -20,6 +28,8 @@ from sal_height.sensor import Sensor
 @one_blas_thread()
 def movers(slc: Slc, sensor: Sensor, settings: MoverSettings, calibration: Calibration | None = None) -> Looked:
     """Movers in an image of a strip, with position, height and radial velocity.
+
+    What drives along the flight is smeared beyond one image: `movers.StripMovers` finds it in successive ones.
 
     Args:
         slc: images of all channels.
@@ -39,6 +49,26 @@ def movers(slc: Slc, sensor: Sensor, settings: MoverSettings, calibration: Calib
         )
     images, beams = _images_for_movers(slc, sensor, settings, calibration)
     return find_movers(images, beams, slc, sensor, settings)
+
+
+@one_blas_thread()
+def strip_with_movers(
+    slc: Slc, sensor: Sensor, settings: MoverSettings, calibration: Calibration | None = None
+) -> StripImage:
+    """An image of a strip for `movers.StripMovers`, which finds movers with the images before and after.
+
+    Args:
+        slc: images of all channels.
+        sensor: sensor of the images.
+        settings: settings of the search.
+        calibration: calibration as of `movers`.
+
+    Raises:
+        Rejected: as `movers`.
+        UserError: as `movers`.
+    """
+    images, beams = _images_for_movers(slc, sensor, settings, calibration)
+    return StripImage(images, slc, beams, sensor)
 
 
 @one_blas_thread()

@@ -19,7 +19,7 @@ from sal_height.graph.catalogue import DETECTOR, NodeParameters, parameters_of
 from sal_height.graph.plan import DwellChanges
 from sal_height.graph.reporting import reporting
 from sal_height.io import new_folder
-from sal_height.movers import Mover, MoverSettings, check_sensor
+from sal_height.movers import Blind, Mover, MoverSettings, check_sensor
 from sal_height.runs.chain.chain_runs import COMPRESSION, BagRun, plan
 from sal_height.runs.chain.replay_parameters import ReplayPlan
 from sal_height.sensor import Sensor
@@ -54,6 +54,11 @@ def _entry(found: ImageMovers, mover: Mover) -> dict[str, Any]:
     return entry
 
 
+def _blind_entry(blind: Blind) -> dict[str, float]:
+    """Entries of the report on the radial velocities that the lag does not show in strips."""
+    return {"cnr_db": blind.cnr_db, "radial_velocity_sigma_mps": blind.sigma, "fraction": blind.fraction}
+
+
 def movers_table(summary: Mapping[str, Any]) -> str:
     """The report as a table with a line for each mover."""
     movers = summary["movers"]
@@ -76,6 +81,11 @@ def movers_table(summary: Mapping[str, Any]) -> str:
         lines.append(
             "Velocities in mm/s that differ by multiples of "
             f"{1e3 * movers[0]['ambiguity_mps']:.4g} mm/s look the same; those by range migration do not."
+        )
+    if summary["blind"]:
+        blind = ", ".join(f"{100 * one['fraction']:.2g} % at {one['cnr_db']:g} dB" for one in summary["blind"])
+        lines.append(
+            f"Blind radial velocities, which look like the ground's unless range migration or smear show them: {blind}."
         )
     return "\n".join(lines)
 
@@ -133,6 +143,7 @@ def find_in_bag(
             "expected_false_alarms_at_most": settings.false_alarm_rate * candidates,
             "fastest_mps": min((one.fastest for one in looked), default=0.0),
             "ground_lag_rad": [list(one.ground_lag) for one in looked],
+            "blind": [_blind_entry(one) for one in looked[len(looked) // 2].blind],
             "movers": [_entry(one, mover) for one in found for mover in _in_order(one)],
         }
         report.update(summary)

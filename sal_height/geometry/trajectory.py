@@ -6,7 +6,7 @@ import bisect
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -129,6 +129,20 @@ def _state_of(stamp_ns: int, numbers: bytes) -> PlatformState:
     return PlatformState(stamp_ns, *arrays_of(numbers, ((3,), (4,), (3,), (6, 6), (3, 3))))
 
 
+class Assumed(NamedTuple):
+    """Variances that nobody states, about all AXES: the greatest at the first, the middle and the last of some pulses.
+
+    Attributes:
+        of_samples: those of the nearest samples, in addition to the stated ones.
+        in_gaps: those of the motion between samples, in addition to what is stated or samples show.
+        gap_s: longest time between the samples around these pulses, s.
+    """
+
+    of_samples: F64
+    in_gaps: F64
+    gap_s: float
+
+
 NOBODY_KNOWS = OdometryAccuracy()
 """Accuracy of odometry that nothing states but its covariances."""
 
@@ -236,42 +250,24 @@ class Trajectory:
         Raises:
             UserError: a time lies outside the track.
         """
-        nearest = self.nearest(stamp_ns, pulse_times)
+        middle = self._middle(self._offsets(stamp_ns, pulse_times))
+        nearest = self.states[self._nearest(middle)]
         attitude = rotation_matrix(nearest.orientation)
-        in_gap = self._in_gap(self._middle(self._offsets(stamp_ns, pulse_times)))[6:]
-        return attitude @ self._stated(nearest)[1] @ attitude.T + np.diag(in_gap)
+        return attitude @ self._stated(nearest)[1] @ attitude.T + np.diag(self._in_gap(middle, self.motion)[6:])
 
-    def assumed(self, stamp_ns: int, pulse_times: F64) -> F64:
-        """Variances that are assumed in addition to the stated ones, because nobody states them, shape (AXES,).
-
-        They are the greatest of the samples nearest to the first, the middle and the last pulse.
+    def assumed(self, stamp_ns: int, pulse_times: F64) -> Assumed:
+        """Variances that are assumed of the track at `stamp_ns` + `pulse_times` (s, increasing).
 
         Raises:
             UserError: a time lies outside the track.
         """
-        sigmas = self.accuracy.assumed
-        states = [self.states[index] for index in {self._nearest(one) for one in self._three(stamp_ns, pulse_times)}]
-        return np.max([shortfall(one.covariance, one.velocity_covariance, sigmas) for one in states], axis=0)
-
-    def assumed_in_gaps(self, stamp_ns: int, pulse_times: F64) -> F64:
-        """Variances that are assumed of the motion between samples, in addition to what these show, shape (AXES,).
-
-        They are the greatest of the first, the middle and the last pulse.
-
-        Raises:
-            UserError: a time lies outside the track.
-        """
-        seconds = self._three(stamp_ns, pulse_times)
-        return np.max([self._in_gap(one, self.motion.with_assumed) - self._in_gap(one) for one in seconds], axis=0)
-
-    def gap_s(self, stamp_ns: int, pulse_times: F64) -> float:
-        """Longest time between the samples around the first, the middle and the last pulse, s.
-
-        Raises:
-            UserError: a time lies outside the track.
-        """
-        first = [self._around(one)[0] for one in self._three(stamp_ns, pulse_times)]
-        return max(float(self._seconds[index + 1] - self._seconds[index]) for index in first)
+        t, motion, sigmas = self._offsets(stamp_ns, pulse_times), self.motion, self.accuracy.assumed
+        seconds = float(t[0]), self._middle(t), float(t[-1])
+        states = [self.states[index] for index in {self._nearest(one) for one in seconds}]
+        of_samples = [shortfall(one.covariance, one.velocity_covariance, sigmas) for one in states]
+        in_gaps = [self._in_gap(one, motion.with_assumed) - self._in_gap(one, motion) for one in seconds]
+        gaps_s = np.diff(self._seconds)[[self._around(one)[0] for one in seconds]]
+        return Assumed(np.max(of_samples, axis=0), np.max(in_gaps, axis=0), float(gaps_s.max()))
 
     def nearest(self, stamp_ns: int, pulse_times: F64) -> PlatformState:
         """The sample nearest to the middle of the pulses at `stamp_ns` + `pulse_times` (s, increasing).
@@ -303,7 +299,7 @@ class Trajectory:
             rotation=self._attitude(middle),
             length=speed * float(t[-1] - t[0]) * len(t) / (len(t) - 1),
             covariance=antenna_covariance(
-                self._stated(nearest)[0] + np.diag(self._in_gap(middle)[:6]),
+                self._stated(nearest)[0] + np.diag(self._in_gap(middle, self.motion)[:6]),
                 nearest.orientation,
                 self.mounting,
             ),
@@ -315,25 +311,16 @@ class Trajectory:
         pose, velocity = known_pose(state.covariance), known_velocity(state.velocity_covariance)
         return pose + np.diag(more[:6]), velocity + np.diag(more[6:])
 
-    def _in_gap(self, t: float, motion: Motion | None = None) -> F64:
-        """Variances of pose and velocity between two samples at a time in s after the epoch, shape (AXES,).
+    def _in_gap(self, t: float, motion: Motion) -> F64:
+        """Variances of pose and velocity by a motion between two samples at t s after the epoch, shape (AXES,).
 
-        Args:
-            t: time, s.
-            motion: motion in gaps; None: that of the track. If the track does not state its acceleration, at least the
-                one that the two samples show counts.
+        If the track does not state its acceleration, at least the one that the two samples show counts.
         """
         first, _ = self._around(t)
-        known, since_s, until_s = motion or self.motion, t - self._seconds[first], self._seconds[first + 1] - t
         if self.motion.acceleration < 0:
             shown = shown_acceleration(*self.states[first : first + 2])
-            known = replace(known, acceleration=max(known.acceleration, shown))
-        return known.variances(since_s, until_s)
-
-    def _three(self, stamp_ns: int, pulse_times: F64) -> tuple[float, float, float]:
-        """Times of the first, the middle and the last pulse in s after the epoch."""
-        t = self._offsets(stamp_ns, pulse_times)
-        return float(t[0]), self._middle(t), float(t[-1])
+            motion = replace(motion, acceleration=max(motion.acceleration, shown))
+        return motion.variances(t - self._seconds[first], self._seconds[first + 1] - t)
 
     def _middle(self, t: F64) -> float:
         """The middle of times in s after the epoch."""

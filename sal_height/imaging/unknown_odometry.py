@@ -16,7 +16,6 @@ from sal_height.geometry import (
     ASSUMED_ACCELERATION,
     ASSUMED_TURNING,
     ApertureState,
-    Trajectory,
     antenna_covariance,
     rotation_matrix,
     shift_along,
@@ -57,13 +56,12 @@ def with_unknown_odometry(slc: Slc, dwell: Corrected) -> Slc:
         dwell: dwell, or block that completed the images of a strip.
     """
     history, track, sensor, _ = dwell
-    of_samples = track.assumed(history.stamp_ns, history.pulse_times)
-    in_gaps = track.assumed_in_gaps(history.stamp_ns, history.pulse_times)
+    of_samples, in_gaps, gap_s = track.assumed(history.stamp_ns, history.pulse_times)
     variances = of_samples + in_gaps
     if not variances.any():
         return slc
     assumed = [what for axes, what in _QUANTITIES if of_samples[axes].any()]
-    sparse = _doubts_of_gap(track, track.gap_s(history.stamp_ns, history.pulse_times)) if in_gaps.any() else ()
+    sparse = _doubts_of_gap(gap_s, track.motion.interval_s) if in_gaps.any() else ()
     aperture, sight = slc.aperture, line_of_sight(sensor, slc.aperture)
     orientation = track.nearest(history.stamp_ns, history.pulse_times).orientation
     pose = antenna_covariance(np.diag(variances[:6]), orientation, sensor.mounting)
@@ -79,12 +77,12 @@ def with_unknown_odometry(slc: Slc, dwell: Corrected) -> Slc:
     )
 
 
-def _doubts_of_gap(track: Trajectory, gap_s: float) -> tuple[Doubt, ...]:
-    """The doubt about the motion between samples of odometry that are so far apart (s)."""
+def _doubts_of_gap(gap_s: float, interval_s: float) -> tuple[Doubt, ...]:
+    """The doubt about the motion in a gap of the odometry, whose samples should have at most this interval (s)."""
     sentence = (
         f"Samples of the odometry are {gap_s:.3g} s apart, and nobody states how the platform moves between them; "
         f"assumed are random accelerations of {ASSUMED_ACCELERATION:g} m/s^2/sqrt(Hz), or those that the samples show, "
-        f"and turns of {ASSUMED_TURNING:g} rad/s^2/sqrt(Hz). Send odometry every {track.motion.interval_s:g} s or more "
+        f"and turns of {ASSUMED_TURNING:g} rad/s^2/sqrt(Hz). Send odometry every {interval_s:g} s or more "
         "often, or state acceleration_noise and turning_noise."
     )
     return (Doubt(SPARSE_ODOMETRY, sentence, size=gap_s, unit="s"),)

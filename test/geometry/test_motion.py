@@ -126,19 +126,19 @@ def test_the_motion_that_samples_show_counts_as_stated_and_the_rest_of_what_is_a
     motion, pulses = Motion(NOT_STATED, NOT_STATED, 0.05), np.array([-0.01, 0.01])
     straight = Trajectory([state(0.0), state(0.2)], motion=motion)
     assumed = motion.with_assumed.variances(0.1, 0.1)
-    np.testing.assert_allclose(straight.assumed_in_gaps(100_000_000, pulses), assumed, rtol=0.03)
+    np.testing.assert_allclose(straight.assumed(100_000_000, pulses).in_gaps, assumed, rtol=0.03)
     np.testing.assert_allclose(straight.aperture(100_000_000, pulses).covariance, state(0.0).covariance)
-    assert straight.gap_s(100_000_000, pulses) == pytest.approx(0.2)
+    assert straight.assumed(100_000_000, pulses).gap_s == pytest.approx(0.2)
     off = replace(state(0.2), position=state(0.2).position + np.array([0.0, 0.02, 0.0]))
     shaken = Trajectory([state(0.0), off], motion=motion)
     shown = replace(motion, acceleration=shown_acceleration(state(0.0), off)).variances(0.1, 0.1)
     assert shown[0] > assumed[0]
     np.testing.assert_allclose(shaken.velocity_covariance(100_000_000, pulses), np.diag(shown[6:]))
     left = np.concatenate([np.zeros(3), assumed[3:6], np.zeros(3)])
-    np.testing.assert_allclose(shaken.assumed_in_gaps(100_000_000, pulses), left)
+    np.testing.assert_allclose(shaken.assumed(100_000_000, pulses).in_gaps, left)
     stated = Trajectory([state(0.0), off], motion=Motion(0.0, 0.0, 0.05))
     assert not stated.velocity_covariance(100_000_000, pulses).any()
-    assert not stated.assumed_in_gaps(100_000_000, pulses).any()
+    assert not stated.assumed(100_000_000, pulses).in_gaps.any()
 
 
 def test_matrices_are_those_of_scipy_whatever_the_norm() -> None:

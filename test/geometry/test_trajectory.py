@@ -175,7 +175,7 @@ def test_an_accuracy_that_is_stated_counts_where_covariances_state_none() -> Non
     expected = np.diag([3.0, 3.0, 3.0, 0.01, 0.01, 0.05]) ** 2
     np.testing.assert_array_equal(track.aperture(EPOCH_NS, times).covariance, expected)
     np.testing.assert_allclose(track.velocity_covariance(EPOCH_NS, times), 0.04 * np.eye(3), atol=1e-15)
-    assert not track.assumed(EPOCH_NS, times).any()
+    assert not track.assumed(EPOCH_NS, times).of_samples.any()
 
 
 def test_an_accuracy_that_nobody_states_is_assumed_and_is_no_covariance() -> None:
@@ -184,7 +184,7 @@ def test_an_accuracy_that_nobody_states_is_assumed_and_is_no_covariance() -> Non
     assert not track.aperture(EPOCH_NS, times).covariance.any()
     assert not track.velocity_covariance(EPOCH_NS, times).any()
     np.testing.assert_array_equal(
-        np.sqrt(track.assumed(EPOCH_NS, times)), [2, 2, 2, 2e-3, 2e-3, 1e-2, 0.05, 0.05, 0.05]
+        np.sqrt(track.assumed(EPOCH_NS, times).of_samples), [2, 2, 2, 2e-3, 2e-3, 1e-2, 0.05, 0.05, 0.05]
     )
 
 
@@ -194,12 +194,13 @@ def test_one_sample_around_the_pulses_that_states_nothing_is_enough(unknown: int
     stated = {"covariance": np.diag([1e-4] * 3 + [1e-8] * 3), "velocity_covariance": 1e-4 * np.eye(3)}
     states = [replace(state(number * 1_000_000), **stated) for number in range(5)]
     times = np.array([1e-3, 2e-3, 3e-3])
-    assert not Trajectory(states).assumed(EPOCH_NS, times).any()
+    assert not Trajectory(states).assumed(EPOCH_NS, times).of_samples.any()
     without = {place: replace(states[place], velocity_covariance=np.zeros((3, 3))) for place in (0, unknown + 1, 4)}
     for place in (0, 4):
-        assert not Trajectory([*states[:place], without[place], *states[place + 1 :]]).assumed(EPOCH_NS, times).any()
+        elsewhere = Trajectory([*states[:place], without[place], *states[place + 1 :]])
+        assert not elsewhere.assumed(EPOCH_NS, times).of_samples.any()
     states[unknown + 1] = without[unknown + 1]
-    assert np.flatnonzero(Trajectory(states).assumed(EPOCH_NS, times)).tolist() == [6, 7, 8]
+    assert np.flatnonzero(Trajectory(states).assumed(EPOCH_NS, times).of_samples).tolist() == [6, 7, 8]
 
 
 @pytest.mark.parametrize("unknown", [np.nan, 1e10])

@@ -159,7 +159,7 @@ def test_what_instruments_do_not_state_is_unknown_of_the_odometry(number: float)
                 fix.position_covariance = np.diag([number] * 3).ravel()
             instruments.send(fix, imu)
         track = Trajectory(instruments.states())
-        assert np.all(track.assumed(track.states[0].stamp_ns, np.array([0.0, 0.01])) > 0)
+        assert np.all(track.assumed(track.states[0].stamp_ns, np.array([0.0, 0.01])).of_samples > 0)
 
 
 @pytest.mark.parametrize("frame", ["map", "base_link"])

@@ -11,6 +11,7 @@ from helpers import flat_scene, make_sensor
 from scipy.spatial.transform import Rotation
 
 from sal_height.elevation import ESTIMATORS, HeightSettings, MlSettings
+from sal_height.engine.image_settings import pose_settings
 from sal_height.geometry import AT_BASE_LINK, shift_along
 from sal_height.imaging import CorrectionSettings, ImageSettings, Slc, image_beams, with_known_errors
 from sal_height.imaging.pixels import line_of_sight
@@ -193,13 +194,14 @@ def test_descriptions_from_before_keep_their_identity() -> None:
 
 
 def test_the_covariance_by_ranges_is_the_part_of_range_delay_clock_and_air() -> None:
-    """Of images whose mounting and stamps are exact it is all; nothing where parameters of then state nothing."""
+    """Of images whose mounting and stamps are exact it is all."""
     slc, sensor = compressed(flown(0), described(AS_SIMULATED)), described(NOTHING)
     exact = {"boresight_sigma_rad": 0.0, "lever_arm_sigma_m": 0.0, "odometry_delay_sigma_s": 0.0}
     settings = ImageSettings(air="standard", elevation_sigma_rad=1e-5, **exact)
     middle = slc.grid.middle
-    found = range_covariance(slc.aperture, middle, sensor, {**dict(settings), "boresight_sigma_rad": 1e-3})
+    found = range_covariance(slc.aperture, middle, sensor, settings.changed(boresight_sigma_rad=1e-3))
     expected = with_instrument(slc, sensor, settings).aperture.covariance - slc.aperture.covariance
     np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-18)
     assert found[3:, 3:].any()
-    assert not range_covariance(slc.aperture, middle, sensor, {"boresight_sigma_rad": 1e-3}).any()
+    exact_ranges = pose_settings({"boresight_sigma_rad": 1e-3})
+    assert not range_covariance(slc.aperture, middle, sensor, exact_ranges).any()

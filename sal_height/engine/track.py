@@ -9,7 +9,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from enum import Enum
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 
@@ -19,10 +18,10 @@ from sal_height.geometry import (
     ASSUMED_TURNING,
     NOT_STATED,
     REORDERED_NS,
-    STEADY,
     Motion,
     OdometryAccuracy,
     PlatformState,
+    Trajectory,
     known_pose,
     known_velocity,
 )
@@ -115,23 +114,13 @@ class OdometrySettings(Settings):
         """Accuracy of odometry whose covariances do not state it."""
         return OdometryAccuracy(**{number: getattr(self, name) for name, number in ACCURACY.items()})
 
+    def assumed_track(self, states: list[PlatformState]) -> Trajectory:
+        """The track of samples whose covariances contain what is assumed of them and of the motion between them.
 
-def accuracy_stated(values: Mapping[str, Any]) -> OdometryAccuracy:
-    """Accuracy of odometry whose covariances do not state it, by the values of the compression in a provenance.
-
-    Odometry is exact in those of before there were such parameters.
-    """
-    found = {number: values.get(name, 0.0) for name, number in ACCURACY.items()}
-    return OdometryAccuracy(**{n: float(value) for n, value in found.items() if isinstance(value, int | float)})
-
-
-def motion_stated(values: Mapping[str, Any]) -> Motion:
-    """Motion in gaps of the odometry, by the values of the compression in a provenance; without them there are none."""
-    found = [values.get(name) for name in ("acceleration_noise", "turning_noise", "odometry_interval_s")]
-    acceleration, turning, interval_s = (value if isinstance(value, int | float) else None for value in found)
-    if acceleration is None or turning is None or interval_s is None:
-        return STEADY
-    return Motion(float(acceleration), float(turning), float(interval_s))
+        Raises:
+            UserError: the samples make no track.
+        """
+        return Trajectory(states, motion=self.motion.with_assumed, accuracy=self.accuracy.with_assumed)
 
 
 class Arrival(Enum):

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
 from sal_height.doubts import UNKNOWN_SENSOR, Assumption, doubts_of_assumed
 from sal_height.geometry import ApertureState
-from sal_height.imaging import VACUUM, CorrectionSettings, Slc, errors_of_air, instrument_errors, with_errors
+from sal_height.imaging import CorrectionSettings, Slc, errors_of_air, instrument_errors, with_errors
 from sal_height.numeric import F64
 from sal_height.sensor import Sensor
 
@@ -35,7 +33,7 @@ def with_instrument(slc: Slc, sensor: Sensor, settings: CorrectionSettings) -> S
     return replace(slc, aperture=aperture, doubts=(*slc.doubts, *doubts))
 
 
-def range_covariance(aperture: ApertureState, middle: F64, sensor: Sensor, stated: Mapping[str, Any]) -> F64:
+def range_covariance(aperture: ApertureState, middle: F64, sensor: Sensor, settings: CorrectionSettings) -> F64:
     """Covariance of the pose by what is not known of ranges and air, which dwells that overlap do not show, (6, 6).
 
     It contains the errors of range delay, sample clock, air and elevation offset.
@@ -44,18 +42,10 @@ def range_covariance(aperture: ApertureState, middle: F64, sensor: Sensor, state
         aperture: aperture of the image.
         middle: middle of the image in map, m, shape (3,).
         sensor: sensor of the image, with its mounting.
-        stated: parameters that the image was made with. What is missing, as in recordings of before there were such
-            parameters, is exact.
+        settings: settings that the image was made with.
     """
-    before = {"air": VACUUM, **dict.fromkeys(_OF_RANGE, 0.0)}
-    names = CorrectionSettings.model_fields.keys()
-    settings = CorrectionSettings(**{**before, **{name: value for name, value in stated.items() if name in names}})
     slant_range = float(np.linalg.norm(middle - aperture.position))
     errors = instrument_errors(aperture, sensor, settings, slant_range)
-    effects = [error.effects for error in errors if error.parameter in _OF_RANGE]
+    effects = [error.effects for error in errors if error.parameter in {"range_sigma_m", "sample_clock_sigma"}]
     effects.append(errors_of_air(aperture, middle, sensor, settings))
     return with_errors(replace(aperture, covariance=np.zeros((6, 6))), settings, effects).covariance
-
-
-_OF_RANGE = "range_sigma_m", "sample_clock_sigma"
-"""Parameters of errors of the range."""

@@ -10,9 +10,10 @@ from driven import accept, drive
 from flown_items import SMALL, flight_items, heights_in, made, ml_stage, small_flight
 
 from sal_height.adjustment import References
-from sal_height.engine.adjuster import FlightAdjuster, HeightAdjuster
+from sal_height.engine.adjuster import HeightAdjuster
 from sal_height.engine.chain import Chain
 from sal_height.engine.compression import Compression, CompressionSettings
+from sal_height.engine.flight_adjuster import FlightAdjuster
 from sal_height.engine.frame_items import Frame
 from sal_height.engine.height_items import Heights
 from sal_height.engine.stage import Notice, Product
@@ -105,7 +106,9 @@ def test_adjusted_heights_keep_what_is_not_known_of_range_and_air() -> None:
     states = [state for port, state in flight_items(flight, dwells=[0, 1]) if port == ODOMETRY]
     heights = heights_in(flight, **SMALL)[0]
     found = []
-    for changed in ({}, {"range_sigma_m": 0.3}, {"air": "standard"}, {"air": "measured", "heard_air": {}}):
+    received = {"air_temperature_k": 285.0, "air_pressure_pa": 1e5, "air_height_m": 100.0}
+    measured = {"air": "topics", "heard_air": received}
+    for changed in ({}, {"range_sigma_m": 0.3}, {"air": "standard"}, {"air": "measured"}, measured):
         stated = {**dict(CompressionSettings(**SMALL)), **changed}
         told = replace(heights, provenance=heights.provenance.derived("sar_compression", stated))
         adjusted = FlightAdjuster(References()).adjust(told, flight.sensor, states, HeightAdjuster.settings())

@@ -10,8 +10,8 @@ import pytest
 
 from sal_height.engine import track
 from sal_height.engine.stage import FOREVER_NS
-from sal_height.engine.track import Arrival, OdometryHistory, OdometrySettings, longest_gap_s, motion_stated
-from sal_height.geometry import NOT_STATED, STEADY, Motion, PlatformState
+from sal_height.engine.track import Arrival, OdometryHistory, longest_gap_s
+from sal_height.geometry import PlatformState
 
 EPOCH_S = 1_700_000_000.0
 
@@ -163,10 +163,3 @@ def test_a_gap_that_samples_have_passed_stays() -> None:
 def test_the_longest_gap_is_that_between_two_samples() -> None:
     assert longest_gap_s([state(0.0), state(0.5), state(0.7)]) == pytest.approx(0.5)
     assert longest_gap_s([]) == longest_gap_s([state(0.0)]) == np.inf
-
-
-def test_the_motion_in_gaps_is_that_of_the_provenance() -> None:
-    """Values of before there were such parameters, and those that are no numbers, leave nothing open in gaps."""
-    settings = OdometrySettings(acceleration_noise=0.3, odometry_interval_s=0.1)
-    assert motion_stated(dict(settings)) == settings.motion == Motion(0.3, NOT_STATED, 0.1)
-    assert motion_stated({}) == motion_stated({**dict(settings), "turning_noise": "unknown"}) == STEADY

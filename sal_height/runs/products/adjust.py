@@ -21,12 +21,12 @@ from sal_height.bag.reader import BagReader
 from sal_height.bag.topics import CALIBRATION_TYPE, FIX_TYPE, FRAME_TYPE, ODOMETRY_TYPE, SENSOR_TYPE
 from sal_height.bag.writer import BagWriter
 from sal_height.elevation import ESTIMATORS
-from sal_height.engine.adjuster import SAYS_NOTHING
+from sal_height.engine.flight_adjuster import SAYS_NOTHING
 from sal_height.engine.height_items import Heights
 from sal_height.engine.image_items import Images
 from sal_height.engine.stage import DwellKey, Loss, Product
 from sal_height.errors import Rejected, UserError
-from sal_height.geometry import PlatformState, Trajectory
+from sal_height.geometry import PlatformState
 from sal_height.graph.catalogue import NodeParameters, check_estimator, parameters_of, suited
 from sal_height.graph.reporting import PARAMETERS, reporting
 from sal_height.imaging import correct_track
@@ -127,9 +127,7 @@ def _observe(run: BagRun, estimator: str) -> Iterator[ObservedDwell]:
             images[item.key] = item
         elif isinstance(item, Heights) and (source := images.pop(item.key).source) is not None:
             settings = source.settings
-            motion, accuracy = settings.motion.with_assumed, settings.accuracy.with_assumed
-            track = Trajectory(source.states, motion=motion, accuracy=accuracy)
-            track = correct_track(track, settings)
+            track = correct_track(settings.assumed_track(source.states), settings)
             try:
                 yield ObservedDwell.of(item.field, source.slc, source.sensor, track, source.pulses, run.scheme.epoch_ns)
             except Rejected as few:

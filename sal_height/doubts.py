@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -104,20 +103,3 @@ class FitTest(NamedTuple):
     size: float = np.nan
     sigma: float = np.nan
     unit: str = ""
-
-
-def normal_tails(statistic: float) -> float:
-    """Probability that a normal deviate of standard deviation 1 is as far from 0, or farther, on either side."""
-    return math.erfc(statistic / math.sqrt(2))
-
-
-def student_tails(statistic: float, degrees: float) -> float:
-    """The same of Student's distribution with 10 degrees of freedom or more, to 1e-4 of it.
-
-    The statistic is turned into a normal deviate (Hill, Communications of the ACM 13, 1970, algorithm 395), in a tenth
-    of the time of scipy.special.stdtr.
-    """
-    a = degrees - 0.5
-    b, y = 48 * a * a, a * math.log1p(statistic * statistic / degrees)
-    rest = (((-0.4 * y - 3.3) * y - 24) * y - 85.5) / (0.8 * y * y + 100 + b)
-    return normal_tails(((rest + y + 3) / b + 1) * math.sqrt(y))

@@ -35,7 +35,7 @@ def sort_pixels(
     span: tuple[float, float],
     levels: F64,
     chosen: Index,
-) -> tuple[int, int, int]:
+) -> tuple[int, int]:
     """Noise level of each pixel, and the pixels whose scatterer is within the array.
 
     A pixel's level is what its scatterer leaves, over the median of noise of power 1; it is negative where there seem
@@ -57,10 +57,10 @@ def sort_pixels(
         chosen: numbers of the pixels within the array to fill in, (pixels,).
 
     Returns:
-        The numbers of pixels that count, of those with one scatterer, and of those within the array.
+        The numbers of pixels that count, and of those within the array.
     """
     rows, cols = power.shape
-    counted, single, inside = 0, 0, 0
+    counted, inside = 0, 0
     for i in range(rows):
         for j in range(cols):
             levels[i, j] = 0.0
@@ -72,11 +72,10 @@ def sort_pixels(
             level = left / (order - 1 / 3)  # the median of a gamma distribution, to 1e-3
             is_single = 0 < beside[i, j] <= left / order * (usual[0] + usual[1] * count[i, j])
             levels[i, j] = level if is_single else -abs(level)
-            single += is_single
             if span[0] <= elevation[i, j] <= span[1]:
                 chosen[inside] = i * cols + j
                 inside += 1
-    return counted, single, inside
+    return counted, inside
 
 
 @compiled

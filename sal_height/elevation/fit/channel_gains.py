@@ -17,8 +17,10 @@ from __future__ import annotations
 
 import math
 
+from scipy.special import stdtr
+
 from sal_height.beams import Beams
-from sal_height.doubts import ALL_CHANNELS, FitTest, student_tails
+from sal_height.doubts import ALL_CHANNELS, FitTest
 from sal_height.elevation.fit._fit_kernels import MAGNIFIED
 from sal_height.elevation.fit.statistics import FitStatistics
 from sal_height.numeric import Index
@@ -89,4 +91,4 @@ def _two_tails(statistic: float, number: float) -> float:
 
     A variance by the quartiles of N normal deviates is as uncertain as that of .37 N of them: Student's distribution.
     """
-    return student_tails(statistic, 0.37 * number)
+    return 2 * float(stdtr(0.37 * number, -statistic))

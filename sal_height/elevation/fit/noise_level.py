@@ -12,7 +12,9 @@ from __future__ import annotations
 
 import math
 
-from sal_height.doubts import FitTest, normal_tails
+from scipy.special import ndtr
+
+from sal_height.doubts import FitTest
 from sal_height.elevation.fit.statistics import BLOCKS, FitStatistics
 
 NOISE_LEVEL, NOISE_OVER_RANGE = "noise level", "noise over range"
@@ -82,5 +84,5 @@ def _test(name: str, level: float, sigma: float, searched: int) -> FitTest:
     """The test of a level with a relative standard deviation, the one farthest from 1 of a number of them."""
     size = DB * math.log(level)
     statistic = abs(size) / (DB * sigma)
-    p_value = min(1.0, searched * normal_tails(statistic))
+    p_value = min(1.0, searched * 2 * float(ndtr(-statistic)))
     return FitTest(name, statistic=statistic, p_value=p_value, size=size, sigma=DB * sigma, unit="dB")

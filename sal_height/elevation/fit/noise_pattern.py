@@ -16,9 +16,10 @@ import math
 from functools import lru_cache
 
 import numpy as np
+from scipy.special import ndtr
 
 from sal_height.beams import Beams
-from sal_height.doubts import FitTest, normal_tails
+from sal_height.doubts import FitTest
 from sal_height.elevation.array.bounds import unit_vectors
 from sal_height.elevation.fit._fit_kernels import ALIKE, NEIGHBOURS
 from sal_height.elevation.fit.statistics import FitStatistics
@@ -63,7 +64,7 @@ def interference_test(found: FitStatistics, beams: Beams, repeated: float) -> Fi
     if not tries:
         return FitTest(INTERFERENCE, unit="1")
     statistic, excess, sigma = max(tries)
-    p_value = min(1.0, normal_tails(statistic))
+    p_value = min(1.0, 2 * float(ndtr(-statistic)))
     # A part 1 + e of what is left is in one of M - 1 directions, over noise in the others.
     part = min(max(1 + excess, 0.0), channels - 2.0)
     power = (part * (channels - 2) / (channels - 1 - part) - 1) / channels
@@ -84,7 +85,7 @@ def correlation_test(found: FitStatistics, channels: int, repeated: float) -> Fi
     size = score / variance - NEIGHBOURS_IN_NOISE / channels
     sigma = math.hypot(math.sqrt(repeated / variance), NEIGHBOURS_OF_SCENE / channels)
     statistic = abs(size) / sigma
-    p_value = normal_tails(statistic)
+    p_value = 2 * float(ndtr(-statistic))
     return FitTest(CORRELATED_NOISE, statistic=statistic, p_value=p_value, size=size, sigma=sigma, unit="1")
 
 

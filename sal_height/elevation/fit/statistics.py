@@ -69,7 +69,7 @@ class FitStatistics:
         few, many = float(count[0, 0]), float(count[len(count) // 2, cols // 2])
         search, usual = _search(beams, first, last, cols), _usually_beside(beams, first, few, many)
         levels, chosen = np.empty(count.shape), np.empty(count.size, np.intp)
-        counted, _, inside = sort_pixels(
+        counted, inside = sort_pixels(
             looks.power,
             residue.explained,
             residue.beside,

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from itertools import chain
 
 import numpy as np
 
@@ -14,6 +14,9 @@ from sal_height.calibration import Calibration
 from sal_height.doubts import Doubt, FitTest
 from sal_height.elevation import HeightSettings, Looks, Residue, Window
 from sal_height.elevation.fit import channel_gains, noise_level, noise_pattern
+from sal_height.elevation.fit.channel_gains import BEAM_STRETCH, CHANNEL_GAIN
+from sal_height.elevation.fit.noise_level import NOISE_LEVEL, NOISE_OVER_RANGE
+from sal_height.elevation.fit.noise_pattern import CORRELATED_NOISE, INTERFERENCE
 from sal_height.elevation.fit.statistics import FitStatistics
 from sal_height.imaging import Slc
 from sal_height.numeric import Index
@@ -22,27 +25,38 @@ from sal_height.sensor import Sensor
 SIGNIFICANCE = 1e-4
 """Probability that any of the tests of a dwell that fits is significant."""
 
-LOUDER_DB, QUIETER_DB = 0.6, -3.0
-"""Noise levels beyond which heights are in doubt.
-
-Below the first, less than .2 % of the heights are beyond 5 sigma. The search takes up to 2.4 dB from the noise of three
-channels where it finds nothing else.
-"""
-
-GREATEST_OVER_RANGE_DB = 1.0
-"""Noise level of a quarter of the ranges over that of all, or its inverse, beyond which heights are in doubt."""
+NOISE_ONLY = 0.35
+"""Gain below which a channel receives next to nothing."""
 
 GREATEST_GAIN = 10 ** (1.5 / 20)
 """Gain of a channel, or its inverse, beyond which heights are in doubt: 1.5 dB."""
 
-NOISE_ONLY = 0.35
-"""Gain below which a channel receives next to nothing."""
+HARMLESS: Mapping[str, tuple[float, float]] = {
+    INTERFERENCE: (-math.inf, 0.04),
+    CHANNEL_GAIN: (1 / GREATEST_GAIN, GREATEST_GAIN),
+    BEAM_STRETCH: (-0.007, 0.007),
+    CORRELATED_NOISE: (-0.1, 0.1),
+    NOISE_LEVEL: (-3.0, 0.6),
+    NOISE_OVER_RANGE: (-1.0, 1.0),
+}
+"""Sizes from the least to the greatest that leave the heights good, in the unit of each test.
 
-GREATEST_STRETCH = 0.007
-"""Stretch of the beams beyond which heights are in doubt."""
+Below a noise level of .6 dB, less than .2 % of the heights are beyond 5 sigma. The search takes up to 2.4 dB from the
+noise of three channels where it finds nothing else.
+"""
 
-GREATEST_INTERFERENCE, GREATEST_CORRELATION = 0.04, 0.1
-"""Power alike in all channels over the noise, and correlation of neighbouring channels, that put heights in doubt."""
+EXPLANATIONS = (
+    (INTERFERENCE,),
+    (CHANNEL_GAIN,),
+    (BEAM_STRETCH,),
+    (CORRELATED_NOISE,),
+    (NOISE_LEVEL, NOISE_OVER_RANGE),
+)
+"""Tests that may explain a dwell, the first that does first: what is wrong in one way looks wrong in others.
+
+Interference has any gain, what wrong gains and beams leave of strong scatterers looks like noise, and noise that
+channels have in common looks like less noise of each.
+"""
 
 
 @dataclass(frozen=True)
@@ -107,7 +121,7 @@ def with_measured_gains(slc: Slc, tests: Sequence[FitTest]) -> Slc | None:
 
     A channel of noise alone is made dead, so that it is left out.
     """
-    gains = [test for test in tests if test.name == channel_gains.CHANNEL_GAIN and np.isfinite(test.size)]
+    gains = [test for test in tests if test.name == CHANNEL_GAIN and np.isfinite(test.size)]
     if not any(_is_significant(test, tests) for test in gains):
         return None
     gain = np.ones(len(slc.images))
@@ -122,7 +136,7 @@ def with_measured_gains(slc: Slc, tests: Sequence[FitTest]) -> Slc | None:
 def with_measured_noise(slc: Slc, tests: Sequence[FitTest]) -> Slc | None:
     """Images with the noise power of the tests of a dwell; None: it is as stated."""
     for test in tests:
-        if test.name == noise_level.NOISE_LEVEL and _is_significant(test, tests):
+        if test.name == NOISE_LEVEL and _is_significant(test, tests):
             return replace(slc, noise_power=10 ** (test.size / 10) * slc.noise_power)
     return None
 
@@ -139,122 +153,93 @@ def _repeated(window: str, looks: int, step: int) -> float:
 
 
 def _doubts(tests: list[FitTest], sensor: Sensor, calibration: Calibration | None) -> tuple[Doubt, ...]:
-    """The first explanation of the significant tests that is large: what is wrong in one way looks wrong in others.
-
-    Interference has any gain, what wrong gains and beams leave of strong scatterers looks like noise, and noise that
-    channels have in common looks like less noise of each.
-    """
-    named = {name: [test for test in tests if test.name == name] for name in {test.name for test in tests}}
-    explanations = (
-        _of_interference(named.get(noise_pattern.INTERFERENCE, [])),
-        _after(calibration, _of_gains(named.get(channel_gains.CHANNEL_GAIN, []))),
-        _after(calibration, _of_stretch(named.get(channel_gains.BEAM_STRETCH, []))),
-        _of_correlation(named.get(noise_pattern.CORRELATED_NOISE, [])),
-        chain(
-            _of_level(named.get(noise_level.NOISE_LEVEL, []), sensor),
-            _of_range(named.get(noise_level.NOISE_OVER_RANGE, [])),
-        ),
-    )
-    return next(filter(None, map(tuple, explanations)), ())
-
-
-def _after(calibration: Calibration | None, doubts: Iterable[Doubt]) -> Iterator[Doubt]:
-    """Doubts about gains and beams of images with a calibration, if there is one, which may be the reason."""
-    for doubt in doubts:
-        if calibration is None:
-            yield doubt
-        else:
-            sentence = (
-                f"{doubt.sentence} The images have calibration {calibration.id}, which may be of another instrument or "
-                "another day: calibrate the sensor again, or leave the calibration out."
+    """The first explanation of the significant tests that is large."""
+    for names in EXPLANATIONS:
+        large = [test for test in tests if test.name in names and not _is_harmless(test)]
+        if not large:
+            continue
+        doubts = (
+            _of_gains(large) if CHANNEL_GAIN in names else [_doubt(test, _sentence(test, sensor)) for test in large]
+        )
+        if calibration and large[0].name in {CHANNEL_GAIN, BEAM_STRETCH}:
+            reason = (
+                f" The images have calibration {calibration.id}, which may be of another instrument or another day: "
+                "calibrate the sensor again, or leave the calibration out."
             )
-            yield doubt._replace(sentence=sentence)
+            doubts = [doubt._replace(sentence=doubt.sentence + reason) for doubt in doubts]
+        return tuple(doubts)
+    return ()
+
+
+def _is_harmless(test: FitTest) -> bool:
+    least, greatest = HARMLESS[test.name]
+    return least <= test.size <= greatest
 
 
 def _doubt(test: FitTest, sentence: str) -> Doubt:
     return Doubt(test.name, sentence, test.channel, test.size, test.unit, test.p_value)
 
 
-def _of_level(tests: list[FitTest], sensor: Sensor) -> Iterator[Doubt]:
-    for test in tests:
-        if QUIETER_DB <= test.size <= LOUDER_DB:
-            continue
-        stated = float(np.mean(sensor.noise_power))
-        found = stated * 10 ** (test.size / 10)
-        side, heights = ("above", "too small") if test.size > 0 else ("below", "too great")
-        yield _doubt(
-            test,
-            f"The noise of the images is {abs(test.size):.1f} dB {side} the stated one: that of the samples is "
-            f"{found:.3g} and the description of the sensor states {stated:.3g} (noise_power, mean of the channels). "
-            f"The sigma of the heights is {heights}; state a noise_power of {found:.3g}, or find what else is in the "
-            "channels.",
+def _sentence(test: FitTest, sensor: Sensor) -> str:
+    """Warning about a dwell as a whole."""
+    size, sigma = test.size, test.sigma
+    if test.name == INTERFERENCE:
+        return (
+            "All channels receive something alike that no scatterer in their beams would give, with "
+            f"{10 * np.log10(size):+.0f} dB over the noise of a channel: interference, or crosstalk of the "
+            "receivers. Heights and their sigma are wrong; find its source, or remove it from the samples."
         )
+    if test.name == BEAM_STRETCH:
+        side = "wider, or closer to each other," if size > 0 else "narrower, or farther from each other,"
+        return (
+            f"The beams are {side} than described, by {100 * abs(size):.1f} +- {100 * sigma:.1f} %. "
+            "Heights are biased, most at the ends of the array; measure the beams (sal-height calibrate), or check "
+            "the width of the antenna and the boresights in the description."
+        )
+    if test.name == CORRELATED_NOISE:
+        return (
+            f"The noise of neighbouring channels has a correlation of {size:.2f} +- {sigma:.2f}; the "
+            "description states that it is independent. The sigma of the heights is too small; look for crosstalk "
+            "of the receivers, or describe it by the channel matrix."
+        )
+    if test.name == NOISE_OVER_RANGE:
+        return (
+            f"In a quarter of the ranges the noise of the images is {size:+.1f} +- {sigma:.1f} dB over "
+            "that of the whole dwell; the description states one noise_power for all ranges. The sigma of the "
+            "heights is wrong there. Remove the gain over range from the samples, or find what else is in the "
+            "channels."
+        )
+    stated = float(np.mean(sensor.noise_power))
+    found = stated * 10 ** (size / 10)
+    side, heights = ("above", "too small") if size > 0 else ("below", "too great")
+    return (
+        f"The noise of the images is {abs(size):.1f} dB {side} the stated one: that of the samples is "
+        f"{found:.3g} and the description of the sensor states {stated:.3g} (noise_power, mean of the channels). "
+        f"The sigma of the heights is {heights}; state a noise_power of {found:.3g}, or find what else is in the "
+        "channels."
+    )
 
 
-def _of_range(tests: list[FitTest]) -> Iterator[Doubt]:
-    for test in tests:
-        if abs(test.size) > GREATEST_OVER_RANGE_DB:
-            yield _doubt(
-                test,
-                f"In a quarter of the ranges the noise of the images is {test.size:+.1f} +- {test.sigma:.1f} dB over "
-                "that of the whole dwell; the description states one noise_power for all ranges. The sigma of the "
-                "heights is wrong there. Remove the gain over range from the samples, or find what else is in the "
-                "channels.",
-            )
-
-
-def _of_interference(tests: list[FitTest]) -> Iterator[Doubt]:
-    for test in tests:
-        if test.size > GREATEST_INTERFERENCE:
-            yield _doubt(
-                test,
-                f"All channels receive something alike that no scatterer in their beams would give, with "
-                f"{10 * np.log10(test.size):+.0f} dB over the noise of a channel: interference, or crosstalk of the "
-                "receivers. Heights and their sigma are wrong; find its source, or remove it from the samples.",
-            )
-
-
-def _of_correlation(tests: list[FitTest]) -> Iterator[Doubt]:
-    for test in tests:
-        if abs(test.size) > GREATEST_CORRELATION:
-            yield _doubt(
-                test,
-                f"The noise of neighbouring channels has a correlation of {test.size:.2f} +- {test.sigma:.2f}; the "
-                "description states that it is independent. The sigma of the heights is too small; look for crosstalk "
-                "of the receivers, or describe it by the channel matrix.",
-            )
-
-
-def _of_stretch(tests: list[FitTest]) -> Iterator[Doubt]:
-    for test in tests:
-        if abs(test.size) > GREATEST_STRETCH:
-            side = "wider, or closer to each other," if test.size > 0 else "narrower, or farther from each other,"
-            yield _doubt(
-                test,
-                f"The beams are {side} than described, by {100 * abs(test.size):.1f} +- {100 * test.sigma:.1f} %. "
-                "Heights are biased, most at the ends of the array; measure the beams (sal-height calibrate), or check "
-                "the width of the antenna and the boresights in the description.",
-            )
-
-
-def _of_gains(tests: list[FitTest]) -> Iterator[Doubt]:
-    """The doubts about gains that are large: of every channel without signal; else one of the worst."""
-    off = [one for one in tests if not 1 / GREATEST_GAIN <= one.size <= GREATEST_GAIN]
+def _of_gains(off: list[FitTest]) -> list[Doubt]:
+    """The doubts about channels whose gain is off: those without signal; else the worst."""
     silent = [one for one in off if one.size < NOISE_ONLY]
-    for one in silent:
-        yield _doubt(
-            one,
-            f"Channel {one.channel} has {one.size:.2f} +- {one.sigma:.2f} of the amplitude that the other channels "
-            "predict: it receives next to nothing but noise. Heights near its beam are wrong; repair it, or make its "
-            "samples 0, so that it is left out.",
-        )
-    if off and not silent:  # without a channel, its neighbours are not predicted well
-        worst = max(off, key=lambda one: abs(np.log(max(one.size, 1e-3))))
-        decibels = 20 * np.log10(worst.size)
-        others = f" So do {len(off) - 1} others, less." if len(off) > 1 else ""
-        yield _doubt(
+    if silent:  # without a channel, its neighbours are not predicted well
+        return [
+            _doubt(
+                one,
+                f"Channel {one.channel} has {one.size:.2f} +- {one.sigma:.2f} of the amplitude that the other channels "
+                "predict: it receives next to nothing but noise. Heights near its beam are wrong; repair it, or make "
+                "its samples 0, so that it is left out.",
+            )
+            for one in silent
+        ]
+    worst = max(off, key=lambda one: abs(np.log(max(one.size, 1e-3))))
+    others = f" So do {len(off) - 1} others, less." if len(off) > 1 else ""
+    return [
+        _doubt(
             worst,
             f"Channel {worst.channel} has {worst.size:.2f} +- {worst.sigma:.2f} of the amplitude that the others "
-            f"predict ({decibels:+.1f} dB); the description states the same gain for all.{others} "
+            f"predict ({20 * np.log10(worst.size):+.1f} dB); the description states the same gain for all.{others} "
             "Heights are biased; measure the gains (sal-height calibrate), or check the beams of the description.",
         )
+    ]

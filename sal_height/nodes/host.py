@@ -52,7 +52,7 @@ from sal_height.nodes.transport.endpoints import Inlet, Outlet
 from sal_height.nodes.transport.message_types import has_transforms
 from sal_height.nodes.transport.qos import FRAMES_QOS, INSTRUMENT_QOS, LATCHED_QOS, ODOMETRY_QOS, TF_STATIC_QOS
 from sal_height.nodes.transport.services import Said
-from sal_height.nodes.viewing import VIEWERS
+from sal_height.nodes.viewing import VIEWERS, view_topics
 from sal_height.nodes.worker import ENDED, ENDING, WorkerNode
 from sal_height.stage_files import check_written, read_inputs, write_product
 from sal_height.workers.pool import Pool
@@ -475,7 +475,7 @@ def node_of(stage: type[Stage], *, settable: bool = True) -> type[StageNode]:
         "parameters": stage.settings,
         "niceness": stage.niceness,
         "inputs": _described(stage.described_inputs()),
-        "outputs": {**_described(outputs), **_views(outputs)},
+        "outputs": {**_described(outputs), **view_topics(outputs)},
         "answers": {**WorkerNode.answers, **{f"~/{name}": about for name, about in stage.commands.items()}},
         "product": heights,
         "takes_images": any(port.name == "slc" for port in inputs),
@@ -490,12 +490,3 @@ def node_of(stage: type[Stage], *, settable: bool = True) -> type[StageNode]:
 
 def _described(ports: Sequence[Port]) -> Topics:
     return {port.name: port.about for port in ports}
-
-
-def _views(ports: Sequence[Port]) -> Topics:
-    return {
-        name: about
-        for port in ports
-        if (viewer := VIEWERS.get(port.kind))
-        for name, about in viewer.topics(port).items()
-    }

@@ -7,8 +7,17 @@ from typing import Any, ClassVar
 
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 
+from sal_height.topics import ODOMETRY, PHASE_HISTORY, SENSOR_INFO
+
 Topics = Mapping[str, str]
 """Content of each topic of a node."""
+
+SENSOR_TOPICS: Topics = {
+    SENSOR_INFO: "description of the sensor, latched",
+    ODOMETRY: "state of the platform, nav_msgs/Odometry",
+    PHASE_HISTORY: "samples of one channel and dwell in each message",
+}
+"""Topics of a sensor."""
 
 INACTIVE = "the node is not active; activate it, as by `ros2 lifecycle set NODE activate`"
 

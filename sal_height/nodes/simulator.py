@@ -8,10 +8,10 @@ from sal_height import messages
 from sal_height.engine.stage import FOREVER_NS, StageSettings
 from sal_height.messages.types import ChannelFrame, NavSatFix, Odometry, SensorInfo
 from sal_height.nodes.accounts.account import DWELLS
-from sal_height.nodes.managed import INACTIVE, Topics
+from sal_height.nodes.managed import INACTIVE, SENSOR_TOPICS, Topics
 from sal_height.nodes.program import run_node
 from sal_height.nodes.transport.qos import LATCHED_QOS, ODOMETRY_QOS
-from sal_height.nodes.worker import RESET, SENSOR_TOPICS, WorkerNode
+from sal_height.nodes.worker import RESET, WorkerNode
 from sal_height.settings import setting
 from sal_height.simulation import flight_of, load_preset
 from sal_height.topics import MAP_ORIGIN, ODOMETRY, PHASE_HISTORY, SENSOR_INFO

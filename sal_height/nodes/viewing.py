@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from sal_height.engine.height_items import Heights
@@ -10,6 +10,7 @@ from sal_height.engine.mapper import PlacedRelief
 from sal_height.engine.stage import Port
 from sal_height.messages import views
 from sal_height.messages.types import Image, PointCloud2, TFMessage, TransformStamped
+from sal_height.nodes.managed import Topics
 from sal_height.nodes.transport.message_types import has_transforms
 from sal_height.nodes.transport.qos import FRAMES_QOS, LATCHED_QOS, TF_QOS
 from sal_height.nodes.worker import WorkerNode
@@ -113,3 +114,13 @@ class ReliefViewer(_Points):
 
 VIEWERS: Mapping[type, Any] = {Heights: HeightViewer, PlacedRelief: ReliefViewer}
 """Publishers of the views of a product, by the class of its items."""
+
+
+def view_topics(ports: Sequence[Port]) -> Topics:
+    """The topics of the views of ports, with their content."""
+    return {
+        name: about
+        for port in ports
+        if (viewer := VIEWERS.get(port.kind))
+        for name, about in viewer.topics(port).items()
+    }

@@ -21,7 +21,6 @@ from rclpy.clock_type import ClockType
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.qos import QoSProfile
 
-from sal_height import topics
 from sal_height.engine.stage import DwellKey, Loss, StageSettings
 from sal_height.errors import Rejected, UserError
 from sal_height.messages.accounts import loss_to_message
@@ -39,13 +38,6 @@ from sal_height.nodes.transport.message_types import class_of
 from sal_height.nodes.transport.qos import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS
 from sal_height.nodes.transport.services import Said, offer_trigger
 from sal_height.topics import LOSSES
-
-SENSOR_TOPICS = {
-    topics.SENSOR_INFO: "description of the sensor, latched",
-    topics.ODOMETRY: "state of the platform, nav_msgs/Odometry",
-    topics.PHASE_HISTORY: "samples of one channel and dwell in each message",
-}
-"""Topics of a sensor."""
 
 RESET = {"~/reset": "forget what was gathered of the dwells so far"}
 """The service that every stage offers."""
@@ -413,7 +405,7 @@ class WorkerNode(Role, Managed):
     def _measure_pace(self) -> None:
         self._measured += 1
         if self._measured % 4 == 0:  # names of nodes arrive after their publishers; to ask for them takes a while
-            for inlet in (*self._inlets, *self._optional):
+            for inlet in self.inlets:
                 inlet.look_for_strangers()
         self._pace.sample(time.monotonic(), self.tally.offered, self.tally.finished)
         self._publish_account()
@@ -423,8 +415,7 @@ class WorkerNode(Role, Managed):
 
     def _counts(self) -> Account:
         """The account; what changes without a piece of work is as it was last."""
-        inlets = (*self._inlets, *self._optional)
-        missed = {_plain(inlet.topic): inlet.missed for inlet in inlets if inlet.missed and not inlet.latched}
+        missed = {_plain(inlet.topic): inlet.missed for inlet in self.inlets if inlet.missed and not inlet.latched}
         account = self.tally.account()  # before what is published, and after what was received
         published = {_plain(outlet.topic): outlet.published for outlet in self._offered if outlet.keeps_all}
         account = replace(account, jobs=self.jobs, missed=missed, published_on=published, last_drop=self.last_drop)
@@ -437,7 +428,7 @@ class WorkerNode(Role, Managed):
     @property
     def source_warning(self) -> str:
         """Warnings, each after a space, about publishers that are not right; else nothing."""
-        return "".join(inlet.warning for inlet in (*self._inlets, *self._optional))
+        return "".join(inlet.warning for inlet in self.inlets)
 
     def silent_topics(self) -> list[str]:
         """The topics that the node needs and that had no message lately, with those of the same name elsewhere."""

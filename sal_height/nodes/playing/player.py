@@ -38,12 +38,12 @@ from sal_height.messages.definition import shipped_definition
 from sal_height.messages.types import Calibration as CalibrationMessage
 from sal_height.messages.types import ChannelFrame, Odometry, SensorInfo
 from sal_height.nodes.accounts.account import CALIBRATIONS, DWELLS
-from sal_height.nodes.managed import INACTIVE, Topics
+from sal_height.nodes.managed import INACTIVE, SENSOR_TOPICS, Topics
 from sal_height.nodes.playing.playlist import CLOCK, PacedClock, Playlist, SimulatedClock, delivered
 from sal_height.nodes.program import run_node
 from sal_height.nodes.transport.endpoints import Outlet
 from sal_height.nodes.transport.qos import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS
-from sal_height.nodes.worker import RESET, SENSOR_TOPICS, WorkerNode
+from sal_height.nodes.worker import RESET, WorkerNode
 from sal_height.settings import setting
 from sal_height.topics import CALIBRATION, ODOMETRY, SENSOR_INFO
 

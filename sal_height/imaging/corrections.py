@@ -128,7 +128,7 @@ def with_known_errors(
         sensor: sensor of the image, with its mounting.
         settings: settings that state known errors.
     """
-    errors = instrument_errors(aperture, sensor, settings, float(np.linalg.norm(middle - aperture.position)))
+    errors = instrument_errors(aperture, middle, sensor, settings)
     return with_errors(aperture, settings, (error.effects for error in errors if not error.is_assumed))
 
 

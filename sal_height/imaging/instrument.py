@@ -88,15 +88,15 @@ class InstrumentError(NamedTuple):
 
 
 def instrument_errors(
-    aperture: ApertureState, sensor: Sensor, settings: InstrumentSettings, slant_range: float
+    aperture: ApertureState, middle: F64, sensor: Sensor, settings: InstrumentSettings
 ) -> Iterator[InstrumentError]:
     """The errors that the description of a sensor leaves.
 
     Args:
         aperture: state of the antenna.
+        middle: middle of the image in map, m, shape (3,).
         sensor: sensor with its mounting.
         settings: settings whose standard deviations replace those of the description.
-        slant_range: slant range of the middle of the image, m.
     """
     described, sight = sensor.uncertainty, line_of_sight(sensor, aperture)
     # From the axes of base_link, in which covariances of the mounting are, to those of map.
@@ -113,6 +113,7 @@ def instrument_errors(
     turn = _mounted(settings.boresight_sigma_rad, covariance, BORESIGHT_RAD, body)
     yield _turn("boresight {:g} rad about each axis", "boresight_sigma_rad", *turn)
     clock = deviation_of(settings.sample_clock_sigma, described.sample_clock, SAMPLE_CLOCK)
+    slant_range = np.linalg.norm(middle - aperture.position)
     yield _shift("sample clock {:g} of range", "sample_clock_sigma", clock, slant_range * sight[None])
 
 

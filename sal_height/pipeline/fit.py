@@ -98,16 +98,16 @@ def fit_of(
         return DwellFit()
     down, across = (settings.range_looks, settings.range_step), (settings.azimuth_looks, settings.azimuth_step)
     repeated = _repeated(settings.look_window, *down) * _repeated(settings.look_window, *across)
-    found = FitStatistics.of(residue, looks, beams)
-    tests = [noise_level.level_test(found, beams.count, repeated)]
+    found = FitStatistics.of(residue, looks, beams, repeated)
+    tests = [noise_level.level_test(found)]
     if beams.count >= channel_gains.FEWEST_CHANNELS and not sensor.is_mixed:
-        tests += channel_gains.gain_tests(found, beams, channels, repeated)
+        tests += channel_gains.gain_tests(found, channels)
     if beams.count >= noise_pattern.FEWEST_CHANNELS and not sensor.is_mixed:
-        tests.append(noise_level.range_test(found, beams.count, repeated))
-        tests.append(noise_pattern.interference_test(found, beams, repeated))
-        tests.append(noise_pattern.correlation_test(found, beams.count, repeated))
+        tests.append(noise_level.range_test(found))
+        tests.append(noise_pattern.interference_test(found))
+        tests.append(noise_pattern.correlation_test(found))
         if not sensor.detector_rotation:
-            tests.append(channel_gains.stretch_test(found, beams, repeated))
+            tests.append(channel_gains.stretch_test(found))
     significant = [test for test in tests if _is_significant(test, tests)]
     return DwellFit(tuple(tests), _doubts(significant, sensor, calibration) if significant else ())
 

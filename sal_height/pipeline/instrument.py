@@ -24,8 +24,7 @@ def with_instrument(slc: Slc, sensor: Sensor, settings: CorrectionSettings) -> S
         sensor: sensor of the images, with its mounting.
         settings: settings that state the errors that corrections leave.
     """
-    slant_range = float(np.linalg.norm(slc.grid.middle - slc.aperture.position))
-    errors = list(instrument_errors(slc.aperture, sensor, settings, slant_range))
+    errors = list(instrument_errors(slc.aperture, slc.grid.middle, sensor, settings))
     assumed = [Assumption(error.name, error.parameter) for error in errors if error.is_assumed]
     of_air = errors_of_air(slc.aperture, slc.grid.middle, sensor, settings)
     aperture = with_errors(slc.aperture, settings, [*(error.effects for error in errors), of_air])
@@ -44,8 +43,7 @@ def range_covariance(aperture: ApertureState, middle: F64, sensor: Sensor, setti
         sensor: sensor of the image, with its mounting.
         settings: settings that the image was made with.
     """
-    slant_range = float(np.linalg.norm(middle - aperture.position))
-    errors = instrument_errors(aperture, sensor, settings, slant_range)
+    errors = instrument_errors(aperture, middle, sensor, settings)
     effects = [error.effects for error in errors if error.parameter in {"range_sigma_m", "sample_clock_sigma"}]
     effects.append(errors_of_air(aperture, middle, sensor, settings))
     return with_errors(replace(aperture, covariance=np.zeros((6, 6))), settings, effects).covariance

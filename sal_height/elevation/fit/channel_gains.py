@@ -19,7 +19,6 @@ import math
 
 from scipy.special import stdtr
 
-from sal_height.beams import Beams
 from sal_height.doubts import ALL_CHANNELS, FitTest
 from sal_height.elevation.fit._fit_kernels import MAGNIFIED
 from sal_height.elevation.fit.statistics import FitStatistics
@@ -41,14 +40,12 @@ STRETCH_OF_SCENE = 0.002
 """Standard deviation of the stretch between scenes."""
 
 
-def gain_tests(found: FitStatistics, beams: Beams, channels: Index, repeated: float) -> list[FitTest]:
+def gain_tests(found: FitStatistics, channels: Index) -> list[FitTest]:
     """Test the gain of each of M channels against the median of all; NaN for one that too few pixels should be in.
 
     Args:
         found: statistics of the dwell.
-        beams: beams of the M detectors.
         channels: numbers of the channels in the sensor.
-        repeated: number of pixels in which each look is.
 
     Returns:
         Tests of the channels in their order: gain of the amplitude, ratio.
@@ -57,7 +54,7 @@ def gain_tests(found: FitStatistics, beams: Beams, channels: Index, repeated: fl
     ranked = sorted(gain for gain, _, number in measured if number >= FEWEST_PIXELS)
     common = ranked[len(ranked) // 2] if ranked else 0.0
     # Where a channel counts it has a half of its full response on average.
-    beyond_noise, times = math.hypot(OF_SCENE, 2 * beams.uncertainty), math.sqrt(repeated)
+    beyond_noise, times = math.hypot(OF_SCENE, 2 * found.beams.uncertainty), math.sqrt(found.repeated)
     tests = []
     for channel, (gain, sigma, number) in zip(channels.tolist(), measured, strict=True):
         if not common > 0 or number < FEWEST_PIXELS:
@@ -69,18 +66,13 @@ def gain_tests(found: FitStatistics, beams: Beams, channels: Index, repeated: fl
     return tests
 
 
-def stretch_test(found: FitStatistics, beams: Beams, repeated: float) -> FitTest:
-    """Test the width of the beams over the distance between them against the described one: its ratio less 1.
-
-    Args:
-        found: statistics of the dwell.
-        beams: beams of the detectors.
-        repeated: number of pixels in which each look is.
-    """
+def stretch_test(found: FitStatistics) -> FitTest:
+    """Test the width of the beams over the distance between them against the described one: its ratio less 1."""
+    beams = found.beams
     ratio, sigma, number = found.ratios[-1]
     if number < FEWEST_PIXELS:
         return FitTest(BEAM_STRETCH, unit="1")
-    size, of_noise = (ratio - 1) / MAGNIFIED, math.sqrt(repeated) * sigma / MAGNIFIED
+    size, of_noise = (ratio - 1) / MAGNIFIED, math.sqrt(found.repeated) * sigma / MAGNIFIED
     error = math.hypot(of_noise, STRETCH_OF_SCENE, beams.pitch_uncertainty, 2 * beams.uncertainty)
     statistic = abs(size) / error
     return FitTest(BEAM_STRETCH, ALL_CHANNELS, statistic, _two_tails(statistic, number), size, error, "1")

@@ -41,27 +41,22 @@ DB = 10 / math.log(10)
 """A relative error of 1, if it were small, in dB."""
 
 
-def level_test(found: FitStatistics, channels: int, repeated: float) -> FitTest:
+def level_test(found: FitStatistics) -> FitTest:
     """Test the noise of a dwell against the stated one: its level in dB; NaN where too few pixels have one scatterer.
 
     The search for the scatterer takes noise where it has nothing else: in shadow, and beyond the array, the level is
     found too low, by up to 1 dB with six channels and by 2.4 dB with three.
-
-    Args:
-        found: statistics of the dwell.
-        channels: number of channels.
-        repeated: number of pixels in which each look is.
     """
     level, number = found.levels[-1]
     if number < max(1, LEAST_FRACTION * found.pixels):
         return FitTest(NOISE_LEVEL, unit="dB")
-    return _test(NOISE_LEVEL, level, math.hypot(_of_noise(found, channels, repeated, number), OF_SCENE / channels), 1)
+    return _test(NOISE_LEVEL, level, _deviation(found, number), 1)
 
 
-def range_test(found: FitStatistics, channels: int, repeated: float) -> FitTest:
+def range_test(found: FitStatistics) -> FitTest:
     """Test the noise of blocks of ranges against that of the dwell: the level farthest from it, in dB.
 
-    Arguments are those of `level_test`; NaN if less than two blocks have enough pixels with one scatterer.
+    NaN if less than two blocks have enough pixels with one scatterer.
     """
     *blocks, (level, _) = found.levels
     known = [
@@ -70,14 +65,14 @@ def range_test(found: FitStatistics, channels: int, repeated: float) -> FitTest:
     if len(known) < 2:
         return FitTest(NOISE_OVER_RANGE, unit="dB")
     farthest, number = max(known, key=lambda one: abs(math.log(one[0])))
-    sigma = math.hypot(_of_noise(found, channels, repeated, number), OF_SCENE / channels)
-    return _test(NOISE_OVER_RANGE, farthest, sigma, len(known))
+    return _test(NOISE_OVER_RANGE, farthest, _deviation(found, number), len(known))
 
 
-def _of_noise(found: FitStatistics, channels: int, repeated: float, number: float) -> float:
-    """Relative standard deviation of the median level of a number of pixels."""
+def _deviation(found: FitStatistics, number: float) -> float:
+    """Relative standard deviation of the median level of a number of pixels, by noise and by the scene."""
+    channels = found.beams.count
     degrees = (channels - 1) * found.least_looks - 0.5
-    return math.sqrt(math.pi / 2 * repeated / (number * degrees))
+    return math.hypot(math.sqrt(math.pi / 2 * found.repeated / (number * degrees)), OF_SCENE / channels)
 
 
 def _test(name: str, level: float, sigma: float, searched: int) -> FitTest:

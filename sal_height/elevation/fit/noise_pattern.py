@@ -40,26 +40,20 @@ ALIKE_OF_SCENE, NEIGHBOURS_OF_SCENE = 1.6, 0.4
 """Their standard deviations between scenes and CNRs of `benchmarks.goodness_of_fit`, times the number of channels."""
 
 
-def interference_test(found: FitStatistics, beams: Beams, repeated: float) -> FitTest:
-    """Test for a wave alike in all of M channels: its power in a channel over that of the noise, ratio.
-
-    Args:
-        found: statistics of the dwell.
-        beams: beams of the M channels.
-        repeated: number of pixels in which each look is.
-    """
-    channels = beams.count
+def interference_test(found: FitStatistics) -> FitTest:
+    """Test for a wave alike in all of M channels: its power in a channel over that of the noise, ratio."""
+    channels = found.beams.count
     of_several, of_single = (scores[ALIKE] for scores in found.scores)
     of_all = [a + b for a, b in zip(of_several, of_single, strict=True)]
     tries = []
     for (score, variance), mean, scene in (
         (of_single, ALIKE_IN_NOISE / channels, ALIKE_OF_SCENE / channels),
-        (of_all, _greatest_of_scatterers(beams), 0.0),
+        (of_all, _greatest_of_scatterers(found.beams), 0.0),
     ):
         if variance > 0:
             excess = score / variance
             # With a wave its own power varies, too.
-            of_noise = max(1.0, 1 + excess) * math.sqrt(repeated / variance)
+            of_noise = max(1.0, 1 + excess) * math.sqrt(found.repeated / variance)
             tries.append(((excess - mean) / math.hypot(of_noise, scene), excess, math.hypot(of_noise, scene)))
     if not tries:
         return FitTest(INTERFERENCE, unit="1")
@@ -71,19 +65,14 @@ def interference_test(found: FitStatistics, beams: Beams, repeated: float) -> Fi
     return FitTest(INTERFERENCE, statistic=statistic, p_value=p_value, size=power, sigma=sigma / channels, unit="1")
 
 
-def correlation_test(found: FitStatistics, channels: int, repeated: float) -> FitTest:
-    """Test the correlation of the noise of neighbouring channels against 0; NaN if few pixels have one scatterer.
-
-    Args:
-        found: statistics of the dwell.
-        channels: number of channels.
-        repeated: number of pixels in which each look is.
-    """
+def correlation_test(found: FitStatistics) -> FitTest:
+    """Test the correlation of the noise of neighbouring channels against 0; NaN if few pixels have one scatterer."""
+    channels = found.beams.count
     score, variance = found.scores[1][NEIGHBOURS]
     if variance == 0 or found.levels[-1][1] < LEAST_FRACTION * found.pixels:
         return FitTest(CORRELATED_NOISE, unit="1")
     size = score / variance - NEIGHBOURS_IN_NOISE / channels
-    sigma = math.hypot(math.sqrt(repeated / variance), NEIGHBOURS_OF_SCENE / channels)
+    sigma = math.hypot(math.sqrt(found.repeated / variance), NEIGHBOURS_OF_SCENE / channels)
     statistic = abs(size) / sigma
     p_value = 2 * float(ndtr(-statistic))
     return FitTest(CORRELATED_NOISE, statistic=statistic, p_value=p_value, size=size, sigma=sigma, unit="1")

@@ -35,6 +35,8 @@ class FitStatistics:
     """Statistics of the pixels of a dwell.
 
     Attributes:
+        beams: beams of the M channels.
+        repeated: number of pixels in which each look is.
         pixels: number of pixels.
         least_looks: least number of looks of a pixel.
         levels: median noise level over the stated one of the pixels with one scatterer, and their number, in each of
@@ -45,6 +47,8 @@ class FitStatistics:
             wave alike in all channels and of noise that neighbours have in common.
     """
 
+    beams: Beams
+    repeated: float
     pixels: int
     least_looks: float
     levels: list[list[float]]
@@ -52,7 +56,7 @@ class FitStatistics:
     scores: list[list[list[float]]]
 
     @classmethod
-    def of(cls, residue: Residue, looks: Looks, beams: Beams) -> FitStatistics:
+    def of(cls, residue: Residue, looks: Looks, beams: Beams, repeated: float) -> FitStatistics:
         """Statistics of a dwell.
 
         Responses are those at the nearest squint for which they are exact, which is the same in most dwells.
@@ -61,6 +65,7 @@ class FitStatistics:
             residue: fit of a single scatterer to each pixel.
             looks: covariance of M channels of equal noise in each pixel.
             beams: beams of the M channels.
+            repeated: number of pixels in which each look is.
         """
         noise, size, count = looks.receiver_noise, beams.count, looks.count
         step, cols = SQUINT_STEP * beams.track_beamwidth, count.shape[1]
@@ -111,7 +116,8 @@ class FitStatistics:
         of_levels, of_ratios = np.empty((2, BLOCKS + 1)), np.empty((3, size + 1))
         median_ratios(ratios, sums, of_ratios)
         median_levels(levels, _ends(len(levels)), of_levels)
-        return cls(counted, min(few, many), of_levels.T.tolist(), of_ratios.T.tolist(), scores.tolist())
+        by_level, by_ratio = of_levels.T.tolist(), of_ratios.T.tolist()
+        return cls(beams, repeated, counted, min(few, many), by_level, by_ratio, scores.tolist())
 
 
 @lru_cache(maxsize=16)

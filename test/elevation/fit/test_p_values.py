@@ -15,24 +15,30 @@ from sal_height.elevation.fit.statistics import BLOCKS, FitStatistics
 CHANNELS, PIXELS = 8, 400
 GAINS = [[gain, 0.05, 60.0] for gain in (1.0, 1.1, 0.9, 1.0, 1.3, 0.7, 1.0, 1.0)]
 LEVELS = [[1.0 + 0.05 * block, PIXELS / BLOCKS] for block in range(BLOCKS)]
-FOUND = FitStatistics(PIXELS, 4.0, [*LEVELS, [1.1, PIXELS]], [*GAINS, [1.2, 0.05, 80.0]], [[[9.0, 60.0]] * 2] * 2)
+FOUND = FitStatistics(
+    make_beams("jinc", CHANNELS),
+    1.0,
+    PIXELS,
+    4.0,
+    [*LEVELS, [1.1, PIXELS]],
+    [*GAINS, [1.2, 0.05, 80.0]],
+    [[[9.0, 60.0]] * 2] * 2,
+)
 
 
 def test_gains_and_stretch_have_the_tails_of_student_by_their_number_of_pixels() -> None:
-    beams = make_beams("jinc", CHANNELS)
-    for test, (*_, number) in zip(gain_tests(FOUND, beams, np.arange(CHANNELS), 1.0), GAINS, strict=True):
+    for test, (*_, number) in zip(gain_tests(FOUND, np.arange(CHANNELS)), GAINS, strict=True):
         assert test.p_value == pytest.approx(2 * stats.t.sf(test.statistic, 0.37 * number))
-    stretch = stretch_test(FOUND, beams, 1.0)
+    stretch = stretch_test(FOUND)
     assert stretch.p_value == pytest.approx(2 * stats.t.sf(stretch.statistic, 0.37 * 80))
 
 
 def test_noise_has_the_tails_of_a_normal_deviate_of_as_many_as_were_searched() -> None:
-    beams = make_beams("jinc", CHANNELS)
     for test, searched in (
-        (level_test(FOUND, CHANNELS, 1.0), 1),
-        (range_test(FOUND, CHANNELS, 1.0), BLOCKS),
-        (correlation_test(FOUND, CHANNELS, 1.0), 1),
-        (interference_test(FOUND, beams, 1.0), 1),
+        (level_test(FOUND), 1),
+        (range_test(FOUND), BLOCKS),
+        (correlation_test(FOUND), 1),
+        (interference_test(FOUND), 1),
     ):
         assert 0 < test.p_value < 1, test.name
         assert test.p_value == pytest.approx(min(1.0, searched * 2 * stats.norm.sf(test.statistic))), test.name

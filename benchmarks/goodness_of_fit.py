@@ -23,6 +23,7 @@ from benchmarks import honest_scenes as scenes
 from benchmarks.direct_images import DirectImages, direct_images, lidar
 from benchmarks.row import Row, sized
 from sal_height.elevation import ESTIMATORS, HeightSettings
+from sal_height.elevation.fit.channel_gains import CHANNEL_GAIN
 from sal_height.elevation.fit.noise_level import NOISE_LEVEL
 from sal_height.imaging import ImageSettings, Processing, Slc
 from sal_height.numeric import C64, F64
@@ -205,7 +206,7 @@ def table(names: Sequence[str], detectors: int, looks: tuple[int, int]) -> None:
             settings = ESTIMATORS["ml"].settings(range_looks=looks[0], azimuth_looks=looks[1])
             fields = dwells_of(scene, NONE, cnr_db, settings, detectors)
             levels = np.array([test.size for field in fields for test in field.fit if test.name == NOISE_LEVEL])
-            gains = np.array([test.size for field in fields for test in field.fit if test.name != NOISE_LEVEL])
+            gains = np.array([test.size for field in fields for test in field.fit if test.name == CHANNEL_GAIN])
             doubts = [doubt for field in fields for doubt in field.doubts]
             known = levels[np.isfinite(levels)]
             text = f"{known.min():+.2f} to {known.max():+.2f} dB" if len(known) else "not tested"

@@ -43,24 +43,17 @@ def known_beams(sensor: Sensor, settings: HeightSettings, calibration: Calibrati
     pitch = deviation_of(settings.beam_pitch_sigma, described.beam_pitch, BEAM_PITCH)
     width = deviation_of(settings.beam_width_sigma, described.beam_width, 0.0 if is_stated else BEAM_WIDTH)
     gain = deviation_of(settings.channel_gain_sigma_db, in_db, 0.0 if is_stated else CHANNEL_GAIN_DB)
-    measured = calibration is not None and np.isfinite(calibration.width_sigma)
-    all_measured = calibration is not None and bool(np.all(np.isfinite(calibration.gain_sigma)))
+    width_is_measured = calibration is not None and np.isfinite(calibration.width_sigma)
+    gains_are_measured = calibration is not None and bool(np.all(np.isfinite(calibration.gain_sigma)))
+    quantities = (
+        ("distance between the beams {:.3g} of it", "beam_pitch_sigma", pitch, False),
+        ("width of the beams {:.3g} of it", "beam_width_sigma", width, width_is_measured),
+        ("gain of each channel {:.3g} dB", "channel_gain_sigma_db", gain, gains_are_measured),
+    )
     assumed = [
-        Assumption(what, parameter)
-        for what, parameter, counts in (
-            (f"distance between the beams {pitch.sigma:.3g} of it", "beam_pitch_sigma", pitch.is_assumed),
-            (
-                f"width of the beams {width.sigma:.3g} of it",
-                "beam_width_sigma",
-                width.is_assumed and width.sigma and not measured,
-            ),
-            (
-                f"gain of each channel {gain.sigma:.3g} dB",
-                "channel_gain_sigma_db",
-                gain.is_assumed and gain.sigma and not all_measured,
-            ),
-        )
-        if counts
+        Assumption(what.format(known.sigma), parameter)
+        for what, parameter, known, is_measured in quantities
+        if known.is_assumed and known.sigma and not is_measured
     ]
     errors = BeamErrors(pitch.sigma, width.sigma, NEPERS_PER_DB * gain.sigma, described.channel_phase or 0.0)
     return KnownBeams(errors, doubts_of_assumed(BEAMS, UNKNOWN_SENSOR, assumed))

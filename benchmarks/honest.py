@@ -242,13 +242,13 @@ class Summary:
         pixels: lit pixels inside the array.
         valid: fraction of them with a height.
         published: surfaces.
-        within_1: share of the published surfaces within 1 sigma of the nearest true one.
+        within_1: fraction of the published surfaces within 1 sigma of the nearest true one.
         within_2: within 2 sigma.
         beyond_5: beyond 5 sigma.
         own_beyond_5: beyond 5 sigma of the one it should be, or without any left.
-        missed: share of the lit surfaces for which none is published.
-        ghosts: share of the pixels in shadow that have a height.
-        right_order: share of the pixels with a height in which as many surfaces were found as there are.
+        missed: fraction of the lit surfaces for which none is published.
+        ghosts: fraction of the pixels in shadow that have a height.
+        right_order: fraction of the pixels with a height in which as many surfaces were found as there are.
     """
 
     pixels: int
@@ -282,7 +282,7 @@ class Summary:
         )
 
     def as_line(self) -> str:
-        """The shares in percent."""
+        """The fractions in percent."""
         return (
             f"{self.pixels:6d} {100 * self.valid:6.1f} {self.published:6d} {100 * self.within_1:6.1f} "
             f"{100 * self.within_2:6.1f} {100 * self.beyond_5:7.2f} {100 * self.own_beyond_5:7.2f} "

@@ -18,7 +18,7 @@ from sal_height.imports.collection import Description
 from sal_height.sensor import PhaseHistory, Sensor
 
 FOLLOWED_SIGMA = 0.01
-"""Standard deviation of the heading that ranges to a followed point give, rad: as well as beams are held on a point."""
+"""Standard deviation of the heading that ranges to a followed point give, rad: as well as beams stay on a point."""
 
 _LOG = logging.getLogger(__name__)
 
@@ -73,8 +73,8 @@ def with_assumed_attitudes(
 def followed_squint(history: PhaseHistory, track: Trajectory) -> float | None:
     """Angle ahead of abeam (rad) of a fixed point whose distance the ranges of a dwell are; None: they follow none.
 
-    Of a straight flight the squared distance from a point is R^2 = s^2 - 2 a s + R0^2, with the way s from the middle
-    and the place a of the point along it. Ranges that are constant, or those of a window that follows the ground, do
+    Of a straight flight the squared distance from a point is R^2 = s^2 - 2 a s + R0^2, with the path s from the middle
+    and the position a of the point along it. Ranges that are constant, or those of a window that follows the ground, do
     not have the s^2.
 
     Args:

@@ -37,18 +37,21 @@ def with_assumed_attitudes(
         described: description that states how level the flight is.
     """
     track = Trajectory(list(states))
-    found = [(one.stamp_ns, followed_squint(one, track)) for one in histories] if sensor.mode == "spotlight" else []
-    squints = [(stamp_ns, squint) for stamp_ns, squint in found if squint is not None]
+    found = [followed_squint(one, track) for one in histories] if sensor.mode == "spotlight" else []
+    squints = [squint for squint in found if squint is not None]
     level, heading = described.assumed_attitude_sigma_rad, described.assumed_heading_sigma_rad
     yaws = np.zeros(len(states))
     seen = "nothing shows whether the beams look abeam"
     if squints and len(squints) == len(found):
-        turns = [_yaw(squint, sensor) for _, squint in squints]
         epoch_ns = states[0].stamp_ns
-        seconds = [(stamp_ns - epoch_ns) * 1e-9 for stamp_ns, _ in squints]
-        yaws = np.interp([(state.stamp_ns - epoch_ns) * 1e-9 for state in states], seconds, turns)
+        # The squint of a dwell is that of its middle pulse.
+        turns = sorted(
+            ((one.stamp_ns - epoch_ns) * 1e-9 + one.pulse_times[len(one.pulse_times) // 2], _yaw(squint, sensor))
+            for one, squint in zip(histories, squints, strict=True)
+        )
+        yaws = np.interp([(state.stamp_ns - epoch_ns) * 1e-9 for state in states], *zip(*turns, strict=True))
         heading = min(heading, FOLLOWED_SIGMA)
-        seen = f"the ranges follow points that lie {squints[0][1]:.3g} rad ahead of abeam (first dwell)"
+        seen = f"the ranges follow points that lie {squints[0]:.3g} rad ahead of abeam (first dwell)"
     _LOG.warning(
         "The track has no attitudes. Assumed is level flight along the track, uncertain by %.2g rad in roll and pitch "
         "and %.2g rad in heading, so that all heights may be off together, by %.3g m here; %s. Add attitudes, or state "
@@ -72,6 +75,8 @@ def with_assumed_attitudes(
 
 def followed_squint(history: PhaseHistory, track: Trajectory) -> float | None:
     """Angle ahead of abeam (rad) of a fixed point whose distance the ranges of a dwell are; None: they follow none.
+
+    It is the angle at the middle pulse.
 
     Of a straight flight the squared distance from a point is R^2 = s^2 - 2 a s + R0^2, with the path s from the middle
     and the position a of the point along it. Ranges that are constant, or those of a window that follows the ground, do

@@ -86,7 +86,7 @@ class NavigationSettings(FrameSettings, MapOriginSettings, StageSettings):
         """The level of altitudes.
 
         Raises:
-            UserError: the height of the geoid is not given.
+            UserError: the height of the geoid is not given, or is given though altitudes are not above it.
         """
         return Altitudes(self.altitude_above, self.geoid_height_m)
 

@@ -125,6 +125,11 @@ class Altitudes:
                 "Altitudes are above the geoid (altitude_above), whose height above the ellipsoid is not given; state "
                 "geoid_height_m, such as 47 in Bavaria."
             )
+        if self.above != "geoid" and self.geoid_height_m:
+            raise UserError(
+                f"The height of the geoid is given (geoid_height_m {self.geoid_height_m:g}), and altitude_above is "
+                f"{self.above}; state altitude_above: geoid, or leave geoid_height_m out."
+            )
 
     @property
     def is_known(self) -> bool:

@@ -45,11 +45,12 @@ def with_assumed_attitudes(
     if squints and len(squints) == len(found):
         epoch_ns = states[0].stamp_ns
         # The squint of a dwell is that of its middle pulse.
-        turns = sorted(
-            ((one.stamp_ns - epoch_ns) * 1e-9 + one.pulse_times[len(one.pulse_times) // 2], _yaw(squint, sensor))
-            for one, squint in zip(histories, squints, strict=True)
-        )
-        yaws = np.interp([(state.stamp_ns - epoch_ns) * 1e-9 for state in states], *zip(*turns, strict=True))
+        middles = [
+            (one.stamp_ns - epoch_ns) * 1e-9 + float(one.pulse_times[len(one.pulse_times) // 2]) for one in histories
+        ]
+        order, turns = np.argsort(middles), np.array([_yaw(squint, sensor) for squint in squints])
+        seconds = [(state.stamp_ns - epoch_ns) * 1e-9 for state in states]
+        yaws = np.interp(seconds, np.array(middles)[order], turns[order])
         heading = min(heading, FOLLOWED_SIGMA)
         seen = f"the ranges follow points that lie {squints[0]:.3g} rad ahead of abeam (first dwell)"
     _LOG.warning(

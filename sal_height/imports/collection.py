@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from annotated_types import Ge, Gt, Le, MinLen
+from annotated_types import Ge, Gt, Le, Lt, MinLen
 from pydantic_core import PydanticCustomError
 from scipy.constants import speed_of_light
 from scipy.spatial.transform import Rotation
@@ -58,7 +58,7 @@ class Description(StrictKeys):
     full_scale: Annotated[Float, Ge(0)] = 0.0
     mounting: MountingSettings = field(default_factory=MountingSettings)
     uncertainty: UncertaintySettings = field(default_factory=UncertaintySettings)
-    assumed_attitude_sigma_rad: Annotated[Float, Gt(0), Le(np.pi)] = 0.05
+    assumed_attitude_sigma_rad: Annotated[Float, Gt(0), Lt(1)] = 0.05
     assumed_heading_sigma_rad: Annotated[Float, Gt(0), Le(np.pi)] = 0.1
     altitude_above: Literal["unknown", "ellipsoid", "geoid"] = "unknown"
     geoid_height_m: Annotated[Float, Ge(-120), Le(100)] = 0.0
@@ -79,7 +79,7 @@ class Description(StrictKeys):
         """The level above which altitudes of the track are.
 
         Raises:
-            UserError: the height of the geoid is not given.
+            UserError: the height of the geoid is not given, or is given though altitudes are not above it.
         """
         return Altitudes(self.altitude_above, self.geoid_height_m)
 

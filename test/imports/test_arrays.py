@@ -215,6 +215,8 @@ def test_arrays_that_do_not_fit_are_refused(
         ({"look_side": "up"}, "look_side is 'up'"),
         ({"colour": "red"}, "colour is not a known key"),
         ({"elevation_boresights_rad": []}, "elevation_boresights_rad"),
+        # With a heading as uncertain it would pass for a placeholder of drivers.
+        ({"assumed_attitude_sigma_rad": 1.0}, "assumed_attitude_sigma_rad is 1.0; it must be less than 1"),
     ],
 )
 def test_descriptions_that_are_none_are_refused(

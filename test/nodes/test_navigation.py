@@ -129,6 +129,13 @@ def test_a_geoid_of_unknown_height_is_refused() -> None:
         Instruments(position="fix", altitude_above="geoid", **ORIGIN_DEG)
 
 
+@pytest.mark.parametrize("above", ["unknown", "ellipsoid"])
+def test_a_height_of_the_geoid_is_refused_where_altitudes_are_not_above_it(above: str) -> None:
+    """Whoever states it means that they are."""
+    with refused(UserError, "altitude_above: geoid"):
+        Instruments(position="fix", altitude_above=above, geoid_height_m=47.0, **ORIGIN_DEG)
+
+
 def test_fixes_and_attitudes_become_odometry_in_a_map_on_the_earth() -> None:
     """The platform flies north at a constant rate of latitude: 1e-5 degrees in 0.1 s are 11.1 m/s."""
     instruments = Instruments(position="fix", velocity="positions", **ELLIPSOID)

@@ -83,7 +83,8 @@ def _cached(function: Function, *, fastmath: bool) -> Function:
     """
     PROGRESS.functions.add(function)
     loop: Any = njit(nogil=True, fastmath=fastmath, error_model="numpy", cache=True)(function)
-    loop._cache._cache_file._source_stamp = sorted(set(_sources(function, set())))  # noqa: SLF001 (no other way)
+    if loop is not function:  # NUMBA_DISABLE_JIT leaves the function as it is
+        loop._cache._cache_file._source_stamp = sorted(set(_sources(function, set())))  # noqa: SLF001 (no other way)
     return cast("Function", loop)
 
 

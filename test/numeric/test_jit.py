@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import logging
 import math
+import os
 import subprocess
 import sys
 from functools import cache
@@ -120,3 +121,18 @@ def test_whoever_waits_for_the_compiler_is_told_once_in_a_while(
     assert len(jit.PROGRESS.done) == before + 2
     (said,) = caplog.messages
     assert said.startswith(f"Compiling for this processor, once: {before} functions done, ")
+
+
+def test_loops_run_as_python_for_whoever_looks_into_them() -> None:
+    """NUMBA_DISABLE_JIT is for debuggers and for measuring coverage."""
+    program = (
+        "import numpy as np; from sal_height.numeric.jit import compiled; print(compiled(lambda x: x + 1)(np.pi) > 4)"
+    )
+    run = subprocess.run(  # noqa: S603 (our own program)
+        [sys.executable, "-c", program],
+        env={**os.environ, "NUMBA_DISABLE_JIT": "1"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert run.stdout == "True\n", run.stderr

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from sal_height.elevation.array._beside_kernels import Numbers, inner
-from sal_height.numeric import F64, Bool, Index, compiled, inlined
+from sal_height.numeric import F64, Bool, Index, compiled, inlined, squared
 
 LOWEST, HIGHEST, BINS = -1.0, 3.0, 256
 """Ratios that are distinguished, and number of bins for them: the first and the last have all beyond."""
@@ -273,7 +273,7 @@ def _add_scores(
     common = 2 * (np.conj(sum_of_unit) * sum_of_output).real
     seen = (whole - common + inside * size * own) / size
     scores[ALIKE, 0] += seen / level - count * (1 - inside)
-    scores[ALIKE, 1] += count * (1 - inside) ** 2
+    scores[ALIKE, 1] += count * squared(1 - inside)
     seen, inside, spread = 0.0, 0.0, 0.0
     for m in range(size):
         beside = unit.dtype.type(0)
@@ -287,7 +287,7 @@ def _add_scores(
             inside += 2 * pair.real
         spread += (np.conj(beside) * beside).real
     scores[NEIGHBOURS, 0] += seen / level + count * inside
-    scores[NEIGHBOURS, 1] += count * (2 * (size - 1) - 2 * spread + inside**2)
+    scores[NEIGHBOURS, 1] += count * (2 * (size - 1) - 2 * spread + squared(inside))
 
 
 @inlined

@@ -16,6 +16,7 @@ from sal_height.geometry import (
     ASSUMED_ACCELERATION,
     ASSUMED_TURNING,
     ApertureState,
+    Motion,
     antenna_covariance,
     rotation_matrix,
     shift_along,
@@ -61,7 +62,7 @@ def with_unknown_odometry(slc: Slc, dwell: Corrected) -> Slc:
     if not variances.any():
         return slc
     assumed = [what for axes, what in _QUANTITIES if of_samples[axes].any()]
-    sparse = _doubts_of_gap(gap_s, track.motion.interval_s) if in_gaps.any() else ()
+    sparse = _doubts_of_gap(gap_s, track.motion) if in_gaps.any() else ()
     aperture, sight = slc.aperture, line_of_sight(sensor, slc.aperture)
     orientation = track.nearest(history.stamp_ns, history.pulse_times).orientation
     pose = antenna_covariance(np.diag(variances[:6]), orientation, sensor.mounting)
@@ -77,13 +78,19 @@ def with_unknown_odometry(slc: Slc, dwell: Corrected) -> Slc:
     )
 
 
-def _doubts_of_gap(gap_s: float, interval_s: float) -> tuple[Doubt, ...]:
-    """The doubt about the motion in a gap of the odometry, whose samples should have at most this interval (s)."""
+def _doubts_of_gap(gap_s: float, motion: Motion) -> tuple[Doubt, ...]:
+    """The doubt about the motion between samples of odometry that are so far apart (s)."""
+    acceleration = (
+        f"random accelerations of {ASSUMED_ACCELERATION:g} m/s^2/sqrt(Hz), or those that the samples show",
+        "acceleration_noise",
+    )
+    turning = f"turns of {ASSUMED_TURNING:g} rad/s^2/sqrt(Hz)", "turning_noise"
+    pairs = (motion.acceleration, acceleration), (motion.turning, turning)
+    assumed, parameters = zip(*(words for stated, words in pairs if stated < 0), strict=True)
     sentence = (
         f"Samples of the odometry are {gap_s:.3g} s apart, and nobody states how the platform moves between them; "
-        f"assumed are random accelerations of {ASSUMED_ACCELERATION:g} m/s^2/sqrt(Hz), or those that the samples show, "
-        f"and turns of {ASSUMED_TURNING:g} rad/s^2/sqrt(Hz). Send odometry every {interval_s:g} s or more "
-        "often, or state acceleration_noise and turning_noise."
+        f"assumed are {', and '.join(assumed)}. Send odometry every {motion.interval_s:g} s or more often, or "
+        f"state {' and '.join(parameters)}."
     )
     return (Doubt(SPARSE_ODOMETRY, sentence, size=gap_s, unit="s"),)
 

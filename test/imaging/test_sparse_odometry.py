@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from sal_height.elevation import ESTIMATORS
 from sal_height.geometry import ASSUMED_TURNING, NOT_STATED, STEADY, Motion, Trajectory
@@ -45,6 +46,16 @@ def test_a_straight_track_gives_the_images_of_dense_odometry_with_a_greater_sigm
     scale = np.abs(dense.images).max()
     np.testing.assert_allclose(sparse.images, dense.images, atol=1e-4 * scale)
     assert (np.diag(sparse.aperture.covariance) > np.diag(dense.aperture.covariance)).all()
+
+
+@pytest.mark.parametrize(
+    ("motion", "stated"),
+    [(Motion(0.3, NOT_STATED, 0.05), "acceleration"), (Motion(NOT_STATED, 0.02, 0.05), "turn")],
+)
+def test_the_doubt_does_not_name_what_is_stated(motion: Motion, stated: str) -> None:
+    (doubt,) = compressed(flown("small", 5.0), motion).doubts
+    assert stated not in doubt.sentence
+    assert "or state " in doubt.sentence
 
 
 def test_dense_odometry_gives_what_it_gave() -> None:

@@ -46,7 +46,14 @@ from sal_height.imaging import (
 from sal_height.numeric import Bool, Index, one_blas_thread
 from sal_height.pipeline.beam_errors import KnownBeams, known_beams
 from sal_height.pipeline.channels import channel_sets, channels_and_beams, live_channels
-from sal_height.pipeline.fit import GAIN_LEFT, DwellFit, fit_of, with_measured_gains, with_measured_noise
+from sal_height.pipeline.fit import (
+    GAIN_LEFT,
+    DwellFit,
+    fit_of,
+    with_measured_gains,
+    with_measured_noise,
+    without_silent,
+)
 from sal_height.pipeline.instrument import with_instrument
 from sal_height.pipeline.strip import StripBuffer
 from sal_height.relief import HeightField, height_field, joined_rows, level_turn
@@ -182,6 +189,10 @@ def _with_measured(
 ) -> HeightField:
     """Heights of a dwell with gains and noise power that its tests show; the tests remain those of the description."""
     tests, errors = field.fit, known.errors
+    # Without a channel its neighbours are not predicted well: their gains are measured when it is left out.
+    if audible := without_silent(slc, field.fit):
+        slc = audible
+        (field,) = _heights_of_dwells([slc], sensor, estimator, settings, calibration, known)
     if equal := with_measured_gains(slc, field.fit):
         slc, known = equal, known._replace(errors=errors._replace(gain=float(np.hypot(errors.gain, GAIN_LEFT))))
         (field,) = _heights_of_dwells([slc], sensor, estimator, settings, calibration, known)

@@ -116,21 +116,33 @@ GAIN_LEFT = 0.04
 """Standard deviation of the gains that are left where they were measured on a dwell."""
 
 
+def without_silent(slc: Slc, tests: Sequence[FitTest]) -> Slc | None:
+    """Images in which channels of noise alone, by the tests of a dwell, are dead and left out; None: there are none."""
+    silent = [test.channel for test in _significant_gains(tests) if test.size < NOISE_ONLY]
+    if not silent:
+        return None
+    images = slc.images.copy()
+    images[silent] = 0
+    return replace(slc, images=images)
+
+
 def with_measured_gains(slc: Slc, tests: Sequence[FitTest]) -> Slc | None:
     """Images of equal gain by the tests of a dwell; None: no gain is significant. The mean gain of all is not known.
 
-    A channel of noise alone is made dead, so that it is left out.
+    Gains that would be those of noise alone remain as they are.
     """
-    gains = [test for test in tests if test.name == CHANNEL_GAIN and np.isfinite(test.size)]
-    if not any(_is_significant(test, tests) for test in gains):
+    if not _significant_gains(tests):
         return None
-    gain = np.ones(len(slc.images))
-    for test in gains:
-        gain[test.channel] = test.size
-    silent = gain < NOISE_ONLY
-    gain[silent] = 1.0
-    images = np.where(silent, 0, 1 / gain)[:, None, None] * slc.images
-    return replace(slc, images=images.astype(np.complex64), noise_power=slc.noise_power / gain**2)
+    gain = np.ones(len(slc.images), np.float32)
+    for test in tests:
+        if test.name == CHANNEL_GAIN and test.size >= NOISE_ONLY:
+            gain[test.channel] = test.size
+    return replace(slc, images=slc.images / gain[:, None, None], noise_power=slc.noise_power / gain.astype(float) ** 2)
+
+
+def _significant_gains(tests: Sequence[FitTest]) -> list[FitTest]:
+    """Tests of gains that are significant."""
+    return [test for test in tests if test.name == CHANNEL_GAIN and _is_significant(test, tests)]
 
 
 def with_measured_noise(slc: Slc, tests: Sequence[FitTest]) -> Slc | None:

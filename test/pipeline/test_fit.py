@@ -132,6 +132,20 @@ def test_noise_and_gains_that_are_measured_leave_no_doubt(name: str) -> None:
         assert repr(field.fit) == repr(described.fit)
 
 
+@pytest.mark.parametrize("scene", ["level", "street"])
+def test_a_silent_channel_is_left_out_and_gains_of_its_neighbours_stay(scene: str) -> None:
+    """Heights are those without the channel, value for value; its neighbours would be found too strong or too weak."""
+    silent = Fault(gain_db=(0.0, 0.0, -200.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+    images = silent.of(images_of(scene, 8, 1))
+    slc = images.slc(20.0)
+    without = slc.images.copy()
+    without[2] = 0
+    measured = heights(slc, images.sensor, ML, MEASURED)
+    expected = heights(replace(slc, images=without), images.sensor, ML, ML.settings())
+    np.testing.assert_array_equal(measured.first.height, expected.first.height)
+    np.testing.assert_array_equal(measured.first.sigma, expected.first.sigma)
+
+
 def test_nothing_is_measured_of_a_dwell_as_described() -> None:
     stated, measured = (dwells_of("street", NONE, 20, dwells=2, settings=one) for one in (ML.settings(), MEASURED))
     for described, field in zip(stated, measured, strict=True):

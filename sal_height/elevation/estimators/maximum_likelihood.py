@@ -35,7 +35,8 @@ class MlSettings(LayoverSettings):
     noise_and_gains: str = setting(
         "stated",
         "noise power and gains of the channels: stated (as the sensor's description has them) or measured (where the "
-        "tests of a dwell contradict it, those that its data show; takes up to three times as long)",
+        "tests of a dwell contradict it, those that its data show; such a dwell takes up to "
+        "seven times as long)",
         choices=("stated", "measured"),
     )
 

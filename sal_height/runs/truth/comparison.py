@@ -107,7 +107,7 @@ def compare(field: HeightField, truth: LitSurfaces, beamwidth: float) -> Surface
     """Compare every surface that a height image publishes with the lit surfaces of its pixels.
 
     Where their places along the flight are uncertain by more than a pixel, as of leaves in the wind, the surfaces of
-    all pixels of the row within `reach_along` count.
+    all pixels of the row within `reach_along` count, too.
 
     Args:
         field: height image of shape (rows, cols).
@@ -131,8 +131,9 @@ def compare(field: HeightField, truth: LitSurfaces, beamwidth: float) -> Surface
         rise = np.take_along_axis(rises, index, axis=0)[0]
         own = _nearest(free, surface.height)[1]
         if reach:
-            nearest, rise = _nearest_in_row(rows, surface.height)
-            own = nearest
+            elsewhere, rise_there = _nearest_in_row(rows, surface.height)
+            rise = np.where(_is_nearer(elsewhere, nearest), rise_there, rise)
+            nearest, own = (np.where(_is_nearer(elsewhere, one), elsewhere, one) for one in (nearest, own))
         by_place = np.nan_to_num(rise**2 * (along @ surface.covariance @ along))
         parts.append(
             PublishedErrors(
@@ -196,6 +197,11 @@ def _nearest_in_row(rows: LitSurfaces, height: F64) -> tuple[F64, F64]:
             there, nearest = np.arange(len(published)), np.argmin(np.abs(errors), axis=1)
             error[row], rise[row] = errors[there, nearest], rows.rise[number, row, col][nearest]
     return np.where(np.isinf(error), np.nan, error), rise
+
+
+def _is_nearer(error: F64, other: F64) -> Bool:
+    """True where an error is less than another one, or there is no other."""
+    return np.abs(error) < np.where(np.isnan(other), np.inf, np.abs(other))
 
 
 def _candidates(heights: F64) -> F64:

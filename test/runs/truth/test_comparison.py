@@ -114,3 +114,25 @@ def test_what_may_be_elsewhere_in_its_row_is_compared_with_what_is_lit_there() -
     result = compare(field, truth, BEAMWIDTH)
     np.testing.assert_allclose(result.errors.nearest, [2.0, 2.5, -0.1])
     assert not result.errors.ghost.any()
+
+
+def test_what_may_be_elsewhere_in_an_empty_row_is_compared_as_if_it_were_not() -> None:
+    """With what is lit in the rows beside it, as in a comparison without reach."""
+    field = field_of([Validity.OK] * 9, [1.1] * 9)
+    rows = (np.concatenate([values, values], axis=0) for values in vars(field.first).values() if values is not None)
+    field = HeightField(replace(field.grid, rows=2), np.repeat(field.validity, 2, axis=0), (Surface(*rows),))
+    lit, dark = truth_of(*[(1.0,)] * 9), truth_of()
+    truth = LitSurfaces(
+        *(
+            np.concatenate([one, other], axis=1)
+            for one, other in zip(vars(lit).values(), vars(dark).values(), strict=True)
+        )
+    )
+    expected = compare(field, truth, BEAMWIDTH).errors.nearest
+    assert np.isfinite(expected).all()
+    middle = HeightField(
+        replace(field.grid, cols=7),
+        field.validity[:, 1:8],
+        (Surface(*(values[:, 1:8] for values in vars(field.first).values() if values is not None)),),
+    )
+    np.testing.assert_allclose(compare(middle, truth, BEAMWIDTH).errors.nearest, 0.1)

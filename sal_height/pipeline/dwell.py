@@ -195,6 +195,8 @@ def _with_measured(
         (field,) = _heights_of_dwells([slc], sensor, estimator, settings, calibration, known)
     if equal := with_measured_gains(slc, field.fit):
         slc, known = equal, known._replace(errors=errors._replace(gain=float(np.hypot(errors.gain, GAIN_LEFT))))
+        if calibration:  # whose standard errors count instead, under its identity
+            calibration = replace(calibration, gain_sigma=np.hypot(calibration.gain_sigma, GAIN_LEFT))
         (field,) = _heights_of_dwells([slc], sensor, estimator, settings, calibration, known)
     if measured := with_measured_noise(slc, field.fit):
         (field,) = _heights_of_dwells([measured], sensor, estimator, settings, calibration, known)

@@ -170,6 +170,16 @@ def test_a_calibration_of_another_instrument_is_named(fault: Fault, width_factor
     assert f"calibration {calibration.id}, which may be of another instrument" in doubt.sentence
 
 
+def test_gains_that_are_left_count_behind_a_calibration_too() -> None:
+    """One that knows gains and width exactly, as the description here."""
+    images = FAULTS["gains 2 dB rms"].of(images_of("level", 16, 1))
+    zeros, response = np.zeros(16), np.ones((16, images.sensor.sample_count), np.complex64)
+    calibration = Calibration(images.sensor.config_hash, response, zeros, zeros, zeros, width_sigma=0.0)
+    exact = MEASURED.model_copy(update={"channel_gain_sigma_db": 0.0, "beam_width_sigma": 0.0})
+    behind, described = (heights(images.slc(30.0), images.sensor, ML, exact, one) for one in (calibration, None))
+    np.testing.assert_allclose(behind.first.sigma, described.first.sigma, rtol=1e-3)
+
+
 @cache
 def small_slc(cnr_db: float = 20.0) -> tuple[Slc, Sensor]:
     """Images of the small preset, 8 channels."""

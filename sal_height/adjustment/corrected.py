@@ -155,12 +155,8 @@ def _covariances(
     return [of_knot[knot] if there else None for knot, there in zip(near, covered, strict=True)]
 
 
-EXACT_RANGES = np.zeros((6, 6))
-"""Covariance of the pose where ranges are exact."""
-
-
 def corrected_heights(
-    field: HeightField, dwell: ObservedDwell, off: PoseError, pitch_sigma: float = 0.0, ranges: F64 = EXACT_RANGES
+    field: HeightField, dwell: ObservedDwell, off: PoseError, pitch_sigma: float = 0.0
 ) -> HeightField:
     """The surfaces of a dwell at corrected positions, with the covariance of the residual error.
 
@@ -170,32 +166,29 @@ def corrected_heights(
         off: error of its pose.
         pitch_sigma: relative standard deviation of the angles between the beams that the covariances of these heights
             contain; that in the error of the pose replaces it.
-        ranges: covariance of the pose, (6, 6), by errors that no comparison of dwells shows, as of the delay of echoes.
     """
-    surfaces = tuple(_corrected(surface, dwell, off, pitch_sigma, ranges) for surface in field.surfaces)
+    surfaces = tuple(_corrected(surface, dwell, off, pitch_sigma) for surface in field.surfaces)
     grid = replace(field.grid, origin=field.grid.origin - off.error[PLACE])
     return replace(field, grid=grid, surfaces=surfaces)
 
 
-def corrected_aperture(dwell: ObservedDwell, off: PoseError, ranges: F64 = EXACT_RANGES) -> ApertureState:
-    """The aperture from which a dwell was seen, with the covariance of its pose; arguments as for heights."""
+def corrected_aperture(dwell: ObservedDwell, off: PoseError) -> ApertureState:
+    """The aperture from which a dwell was seen, with the covariance of its pose."""
     aperture = dwell.aperture
     pose = np.r_[PLACE, TURN]
     return replace(
         aperture,
         position=aperture.position - off.error[PLACE],
         rotation=Rotation.from_rotvec(-off.error[TURN]).as_matrix() @ aperture.rotation,
-        covariance=off.covariance[np.ix_(pose, pose)] + ranges,
+        covariance=off.covariance[np.ix_(pose, pose)],
     )
 
 
-def _corrected(surface: Surface, dwell: ObservedDwell, off: PoseError, pitch_sigma: float, ranges: F64) -> Surface:
+def _corrected(surface: Surface, dwell: ObservedDwell, off: PoseError, pitch_sigma: float) -> Surface:
     jacobian = pose_jacobian(surface.positions, dwell)
     positions = surface.positions - jacobian @ off.error
     beyond = _beyond_pose(surface, dwell.aperture, pitch_sigma * jacobian[..., STRETCH] if pitch_sigma else None)
     common = jacobian @ off.covariance @ np.swapaxes(jacobian, -1, -2) + beyond
-    by_ranges = pose_covariance(positions, replace(dwell.aperture, covariance=ranges))
-    common = common if by_ranges is None else common + by_ranges
     variance = height_variance(surface.own_covariance + common, positions)
     return replace(
         surface,

@@ -28,7 +28,7 @@ from sal_height.adjustment.comparing import (
 from sal_height.adjustment.equations import Solution
 from sal_height.adjustment.known_ground import UNKNOWN_GROUND, References
 from sal_height.adjustment.network import Comparison, Network
-from sal_height.adjustment.observed import ObservedDwell
+from sal_height.adjustment.observed import STRETCH, ObservedDwell
 from sal_height.geometry import Mounting
 from sal_height.numeric import F64
 
@@ -47,6 +47,12 @@ class PoseError:
 
     error: F64
     covariance: F64
+
+    def uncertain_by(self, pose: F64) -> PoseError:
+        """The same error, with the covariance of a pose, (6, 6), by what no comparison of dwells shows, in addition."""
+        covariance = self.covariance.copy()
+        covariance[:STRETCH, :STRETCH] += pose
+        return PoseError(self.error, covariance)
 
 
 class AdjustmentWindow:

@@ -152,10 +152,10 @@ class FlightAdjuster:
                 "the next dwell is adjusted as the first one.",
             )
         seconds = [(state.stamp_ns - self._epoch_ns) * 1e-9 for state in states]
-        ranges = range_covariance(dwell.aperture, heights.field.grid.middle, sensor, image)
+        off = off.uncertain_by(range_covariance(dwell.aperture, heights.field.grid.middle, sensor, image))
         return AdjustedDwell(
-            corrected_heights(heights.field, dwell, off, pitch_in_heights(heights, sensor), ranges),
-            corrected_aperture(dwell, off, ranges),
+            corrected_heights(heights.field, dwell, off, pitch_in_heights(heights, sensor)),
+            corrected_aperture(dwell, off),
             off,
             corrected_states(states, seconds, adjustment, sensor.mounting, known),
             corrected_mounting(sensor.mounting, adjustment),

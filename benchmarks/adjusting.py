@@ -12,6 +12,7 @@ from functools import partial
 
 import numpy as np
 
+from benchmarks.boresight import of_boresight, with_drawn_mounting
 from benchmarks.passes import FlownPasses, observed, observed_strip
 from benchmarks.row import Row, load, sized
 from benchmarks.spread import in_processes
@@ -68,8 +69,8 @@ def _settings(preset: Preset) -> AdjustmentSettings:
 
 
 def passes_of(seed: int) -> FlownPasses:
-    """The flight of the preset with a seed."""
-    preset = _preset()
+    """The flight of the preset with a seed, from which the errors of the mounting are drawn, too."""
+    preset = with_drawn_mounting(_preset(), seed)
     made = in_processes(partial(observed, preset=preset, seed=seed), range(preset.dwells))
     return FlownPasses.of(flight_of(preset, seed), list(made))
 
@@ -100,49 +101,12 @@ def brought_together() -> Iterator[Row]:
     yield Row("velocity that moves images, between dwells", speed[0], "mm/s", "<= 0.5", text)
     yield Row("velocity that moves images, with known ground", height[0], "mm/s", "<= 0.5", text)
     yield Row("heights with known ground", 1e3 * height[1], "mm", "<= 10", text)
-    yield from of_boresight(_preset(), np.array(boresights), np.array(covariances), text)
+    edges_m = flights[0].dwells[0].edges_sigma
+    yield from of_boresight(_preset(), np.array(boresights), np.array(covariances), edges_m, text)
     yield from of_dwells_apart(flights, settings)
     yield from of_strips()
     yield from as_they_come(flights, settings)
     yield from times(flights[0], settings)
-
-
-def of_boresight(preset: Preset, errors: F64, covariances: F64, text: str) -> Iterator[Row]:
-    """Rows on the boresight: its errors, what is stated of them, and that over what errors of the attitude leave.
-
-    Args:
-        preset: preset of the flights.
-        errors: errors about the axes of the sensor, rad, shape (flights, 3).
-        covariances: covariances that are stated of them, rad^2, shape (flights, 3, 3).
-        text: conditions.
-    """
-    look, bounds = preset.flight.look_angle_rad, attitude_bounds(preset)
-    axes = {"about the flight": [1.0, 0.0, 0.0], "along the flight": [0.0, -np.cos(look), np.sin(look)]}
-    # Positions that drift leave as much of the turn about the flight again as the attitude does.
-    for (name, axis), bound, most in zip(axes.items(), bounds, (2.0, 1.2), strict=True):
-        error, sigma = errors @ axis, np.sqrt(np.einsum("i,fij,j->f", axis, covariances, axis))
-        beside = f"{text}; stated {1e6 * sigma.mean():.1f}, attitude alone leaves {1e6 * bound:.1f}"
-        yield Row(f"boresight {name}", 1e6 * float(root_mean_square(error)), "urad", "<= 10", beside)
-        z = float(root_mean_square(error / sigma))
-        yield Row(f"boresight {name}, over what is stated", z, "1", "<= 1.5", text)
-        yield Row(f"boresight {name}, stated over attitude alone", float(sigma.mean()) / bound, "1", f"<= {most}", text)
-
-
-def attitude_bounds(preset: Preset) -> tuple[float, float]:
-    """Standard deviations of the boresight about and along the flight that errors of the attitude leave, rad.
-
-    Passes to and fro turn a boresight about the horizontal axes of map with them, and the errors of the attitude not,
-    so that errors which last from pass to pass cancel: of n passes with the correlation r and the rms A remain
-    A^2 (1 - r) / (n + (n - 2) r), and about the vertical A^2 (1 + r) / (n - (n - 2) r). The prior is added.
-    """
-    odometry, passes = preset.impairments.odometry, preset.flight.passes
-    r, n, look = np.exp(-passes.interval_s / odometry.correlation_s), passes.count, preset.flight.look_angle_rad
-    level = odometry.attitude_rad**2 * (1 - r) / (n + (n - 2) * r)
-    heading = odometry.heading_rad**2 * (1 + r) / (n - (n - 2) * r)
-    along = level * np.cos(look) ** 2 + heading * np.sin(look) ** 2
-    prior = preset.processing["sar_compression"]["boresight_sigma_rad"]
-    about_flight, along_flight = (1 / np.sqrt(1 / prior**2 + 1 / variance) for variance in (level, along))
-    return float(about_flight), float(along_flight)
 
 
 def of_dwells_apart(flights: list[FlownPasses], settings: AdjustmentSettings) -> Iterator[Row]:

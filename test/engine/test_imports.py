@@ -22,7 +22,10 @@ ENGINE = sorted(
 FORBIDDEN = "time", "threading", "pathlib"
 
 ALLOWED: Mapping[str, tuple[set[str], str]] = {
-    "sal_height.numeric.jit": ({"time"}, "says now and then that loops are compiled, at the first start on a machine"),
+    "sal_height.numeric.jit": (
+        {"time", "pathlib"},
+        "says now and then that loops are compiled, at the first start on a machine; compares their sources",
+    ),
     "sal_height.numeric.threads": (
         {"threading", "pathlib"},
         "spreads loops over threads, as many as a container allows, and sets the number of threads of BLAS",

@@ -301,7 +301,9 @@ def test_heights_of_a_dwell_in_a_gap_of_the_odometry_state_what_the_gap_leaves_o
     # Eastwards, along the flight, the error of the velocity moves the image, too.
     preset = flight.preset.flight
     moved = grown[6] * (preset.slant_range_m / preset.speed_mps) ** 2
-    np.testing.assert_allclose(said[0], grown[0] + moved, rtol=0.05)
+    # The pointing of this flight leaves many multiples of the Doppler's ambiguity open, the same ones without the gap.
+    unsure = covariances[1][0, 0]
+    np.testing.assert_allclose(said[0], grown[0] + moved, rtol=0.02, atol=1e-5 * unsure)
     height, sigma, usual = (
         np.array(getattr(image.surfaces[0], name))
         for image, name in ((made, "height"), (made, "sigma"), (before, "sigma"))

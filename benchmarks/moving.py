@@ -96,7 +96,7 @@ def car(seed: int) -> Flown:
     remainder = radial - period * round(radial / period)
     shift = preset.flight.slant_range_m * remainder / (preset.flight.speed_mps - along)
     height = rng.uniform(0.3, 1.6)
-    # Seen from 45 degrees: in range (height - north) / sqrt(2) within the image, 1.3 m from the middle of the beams at most.
+    # Seen from 45 degrees: within the image in range, (height - north) / sqrt(2), and within the beams in elevation.
     north = height - np.sqrt(2) * rng.uniform(max(-1.4, np.sqrt(2) * height - 1.3), 1.4)
     point = PointScatterer(rng.uniform(-0.3, 0.3) + shift, north, height, power, radial, along)
     flight = replace(flight, scene=replace(flight.scene, points=(point,)))

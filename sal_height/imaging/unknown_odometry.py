@@ -62,7 +62,7 @@ def with_unknown_odometry(slc: Slc, dwell: Corrected) -> Slc:
     if not variances.any():
         return slc
     assumed = [what for axes, what in _QUANTITIES if of_samples[axes].any()]
-    sparse = _doubts_of_gap(gap_s, track.motion) if in_gaps.any() else ()
+    sparse = [_doubt_of_gap(gap_s, track.motion)] if in_gaps.any() else []
     aperture, sight = slc.aperture, line_of_sight(sensor, slc.aperture)
     orientation = track.nearest(history.stamp_ns, history.pulse_times).orientation
     pose = antenna_covariance(np.diag(variances[:6]), orientation, sensor.mounting)
@@ -78,7 +78,7 @@ def with_unknown_odometry(slc: Slc, dwell: Corrected) -> Slc:
     )
 
 
-def _doubts_of_gap(gap_s: float, motion: Motion) -> tuple[Doubt, ...]:
+def _doubt_of_gap(gap_s: float, motion: Motion) -> Doubt:
     """The doubt about the motion between samples of odometry that are so far apart (s)."""
     acceleration = (
         f"random accelerations of {ASSUMED_ACCELERATION:g} m/s^2/sqrt(Hz), or those that the samples show",
@@ -92,7 +92,7 @@ def _doubts_of_gap(gap_s: float, motion: Motion) -> tuple[Doubt, ...]:
         f"assumed are {', and '.join(assumed)}. Send odometry every {motion.interval_s:g} s or more often, or "
         f"state {' and '.join(parameters)}."
     )
-    return (Doubt(SPARSE_ODOMETRY, sentence, size=gap_s, unit="s"),)
+    return Doubt(SPARSE_ODOMETRY, sentence, size=gap_s, unit="s")
 
 
 def _deviation(variances: F64, direction: F64) -> float:

@@ -5,7 +5,7 @@ Read `likelihood` first, which both searches share. For strips read `strip_detec
 `dwell_images`.
 """
 
-from sal_height.movers.detection import MoverSettings, check_sensor, find_movers
+from sal_height.movers.detection import MoverSettings, check_sensor, search_strip
 from sal_height.movers.dwell_detection import ALONE, DwellMovers, ShownDwell
 from sal_height.movers.dwell_images import DwellImage
 from sal_height.movers.mover import Blind, Looked, Mover
@@ -23,5 +23,5 @@ __all__ = [
     "StripImage",
     "StripMovers",
     "check_sensor",
-    "find_movers",
+    "search_strip",
 ]

@@ -251,11 +251,6 @@ def search_strip(
     return looked, [one for one in movers if any(one.mover is mover for mover in surest)]
 
 
-def find_movers(images: C64 | C128, beams: Beams, slc: Slc, sensor: Sensor, settings: MoverSettings) -> Looked:
-    """Find what moves in an image of a strip, without those before and after it; arguments as of `search_strip`."""
-    return search_strip(images, beams, slc, sensor, settings, (0, images.shape[-1]))[0]
-
-
 def _without_traces(found: Sequence[StripMover]) -> list[StripMover]:
     """The movers without parts and azimuth ambiguities of likelier ones."""
     return [one for one in found if not any(one.is_trace_of(other) for other in found)]

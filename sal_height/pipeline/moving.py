@@ -18,7 +18,7 @@ from sal_height.movers import (
     ShownDwell,
     StripImage,
     check_sensor,
-    find_movers,
+    search_strip,
 )
 from sal_height.numeric import C128, one_blas_thread
 from sal_height.pipeline.channels import channels_and_beams, live_channels
@@ -48,7 +48,7 @@ def movers(slc: Slc, sensor: Sensor, settings: MoverSettings, calibration: Calib
             "passes them. In spotlight the dwells before and after show them (pipeline.dwell_with_movers)."
         )
     images, beams = _images_for_movers(slc, sensor, settings, calibration)
-    return find_movers(images, beams, slc, sensor, settings)
+    return search_strip(images, beams, slc, sensor, settings, (0, images.shape[-1]))[0]
 
 
 @one_blas_thread()

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from sal_height.errors import UserError
 from sal_height.geometry import PlatformState, Trajectory
 from sal_height.imaging import ImageSettings, Slc
-from sal_height.movers import Looked, Mover, MoverSettings, StripMovers, find_movers
+from sal_height.movers import Looked, Mover, MoverSettings, StripMovers, search_strip
 from sal_height.movers.detection import Driving, is_in_focus
 from sal_height.movers.likelihood import _cached
 from sal_height.movers.mover import without_ambiguities
@@ -148,7 +148,9 @@ def test_what_lies_beyond_the_outer_beams_has_no_height_and_is_not_told() -> Non
     settings = MoverSettings(false_alarm_rate=1e-2)
     for chosen, expected in ((np.arange(8), 1), (upper, 0)):
         beams = sensor.beams.detectors(chosen)
-        found = [find_movers(slc.images[chosen], beams, slc, sensor, settings) for slc in images]
+        found = [
+            search_strip(slc.images[chosen], beams, slc, sensor, settings, (0, slc.grid.cols))[0] for slc in images
+        ]
         assert sum(len(one.movers) for one in found) == expected
         assert sum(one.candidates for one in found) > 0
 

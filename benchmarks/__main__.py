@@ -32,6 +32,7 @@ GROUPS = {
     "layover": "layover:throughput",
     "honest": "honest:coverage",
     "honest-maps": "honest_maps:coverage",
+    "honest-offsets": "honest_maps:offsets",
     "fit": "goodness_of_fit:found",
     "platform": "imperfect_platform:coverage",
     "adjustment": "adjusting:brought_together",

@@ -23,7 +23,7 @@ from sal_height.geometry import ApertureState, sphere_coordinates
 from sal_height.imaging import ImageSettings, Processing
 from sal_height.numeric import F64
 from sal_height.pipeline import heights
-from sal_height.relief import GroundMap, HeightField, ReliefMap, fine_cell_size, fitting_cell_size
+from sal_height.relief import GroundMap, HeightField, ReliefMap, SharedError, fine_cell_size, fitting_cell_size
 from sal_height.relief.cell_map import CellMap, Relief
 from sal_height.relief.tracked import ground_spacings
 from sal_height.simulation import Scene
@@ -85,6 +85,61 @@ def coverage() -> Iterator[Row]:
             text = "".join(f"\n    {count:3d} dwells: {score}" for count, score in zip(STAGES, stages, strict=True))
             worst = max(score.beyond_5 for score in stages)
             yield Row(f"{kind} of {name}: o5", 100 * worst, "%", "<= 0.2", f"1 to {STAGES[-1]} dwells{text}")
+
+
+VARYING, LASTING, FLIGHTS = SharedError(0.066, 10.0), 0.03, sized(100, 2)
+"""Course of the shared error of dwells, standard deviation of what lasts of it, m, and number of flights."""
+
+
+def offsets() -> Iterator[Row]:
+    """Errors over sigma of maps of level ground whose dwells are off by a stated process, and how far sigma falls."""
+    rng, times = np.random.default_rng(SEED + 1), np.arange(0.0, 60.0, 3.0)[: STAGES[-1]]
+    dwells = list(dwells_over(scenes.level(), 20.0, len(times)))
+    alike = np.exp(-np.abs(times[:, None] - times) / VARYING.correlation)
+    root, cell_size = np.linalg.cholesky(alike), fitting_cell_size(dwells[0].field.grid, dwells[0].aperture)
+    scores, ratios, contradicted = [], [], 0
+    for _ in range(FLIGHTS):
+        lifts = LASTING * rng.standard_normal() + VARYING.varying * root @ rng.standard_normal(len(times))
+        stated, unstated = ReliefMap(cell_size, 10**7, VARYING), ReliefMap(cell_size, 10**7)
+        for dwell, time, lift in zip(dwells, times, lifts, strict=True):
+            lifted = _lifted(dwell.field, lift)
+            for map_ in (stated, unstated):
+                map_.add(lifted, dwell.aperture, time)
+        contradicted += stated.contradiction is not None
+        made, other = stated.relief(), unstated.relief()
+        assert made is not None  # noqa: S101 (all dwells have heights)
+        assert other is not None  # noqa: S101
+        scores.append(float(np.nanmedian(made.height) / np.nanmedian(made.sigma)))
+        ratios.append(float(np.nanmedian(made.sigma) / np.nanmedian(other.sigma)))
+    text = (
+        f"{FLIGHTS} flights of {len(times)} dwells over {times[-1]:g} s, offsets {1e3 * VARYING.varying:.0f} mm with "
+        f"{VARYING.correlation:g} s and {1e3 * LASTING:.0f} mm that last; standard error of the row "
+        f"{1 / np.sqrt(2 * FLIGHTS):.2f}; sigma {np.median(ratios):.2f} of that without a statement, contradicted "
+        f"{contradicted}"
+    )
+    yield Row(
+        "relief map, stated offsets: errors over sigma, rms",
+        float(np.sqrt(np.mean(np.square(scores)))),
+        "1",
+        "<= 1.2",
+        text,
+    )
+
+
+def _lifted(field: HeightField, lift: float) -> HeightField:
+    """The heights, too high by `lift` (m), with the covariance of what all pixels share."""
+    up = np.array([0.0, 0.0, 1.0])
+    shared = (VARYING.varying**2 + LASTING**2) * np.outer(up, up)
+    surfaces = tuple(
+        replace(
+            one,
+            positions=one.positions + lift * up,
+            height=one.height + lift,
+            common_covariance=np.broadcast_to(shared, one.own_covariance.shape),
+        )
+        for one in field.surfaces
+    )
+    return replace(field, surfaces=surfaces)
 
 
 def _scores(name: str) -> dict[str, list[Score]]:

@@ -41,9 +41,11 @@ from sal_height.relief import (
     ProjectedAxes,
     Relief,
     ReliefMap,
+    SharedError,
     fine_cell_size,
     fitting_cell_size,
     ground_spacings,
+    stated_course,
 )
 from sal_height.settings import setting
 from sal_height.topics import MAP_ORIGIN
@@ -85,6 +87,23 @@ class MapSettings(MapOriginSettings, MapFrameSettings, StageSettings):
     )
     period_s: float = setting(
         2.0, "shortest time between two maps published", unit="s", minimum=0.1, maximum=3600.0, read_only=True
+    )
+    varying_offset_m: float = setting(
+        0.0,
+        "standard deviation of the part of the height error common to all pixels of a dwell that changes in flight and "
+        "averages out over dwells; 0: not stated, all of it is assumed to last",
+        unit="m",
+        minimum=0.0,
+        maximum=1e4,
+        read_only=True,
+    )
+    offset_correlation_s: float = setting(
+        0.0,
+        "time in which the correlation of that part falls to 1/e; 0: not stated",
+        unit="s",
+        minimum=0.0,
+        maximum=1e6,
+        read_only=True,
     )
     file: str = setting(
         "",
@@ -179,6 +198,7 @@ class Mapper(Stage):
         super().__init__(*arguments, **others)
         if self._settings.crs not in {LOCAL, UTM}:
             find_system(self._settings.crs)
+        self.shared_error(self._settings)
         self._origin = self._settings.origin
         self._has_news = False
         self._publishing = False
@@ -189,6 +209,11 @@ class Mapper(Stage):
         self._map_axes: ProjectedAxes | None = None
         self._images = 0
         self._last: Heights | None = None
+
+    @staticmethod
+    def shared_error(settings: Any) -> SharedError:
+        """Stated course of the height error that all pixels of a dwell share."""
+        return stated_course(settings.varying_offset_m, settings.offset_correlation_s)
 
     @classmethod
     def inputs(cls, settings: Any) -> Sequence[Port]:
@@ -285,9 +310,12 @@ class Mapper(Stage):
         if axes:
             field, aperture = axes.field(field, aperture)
         grown = self.empty_map(field, aperture, settings) if self._map is None else self._map
-        grown.add(field, aperture)
+        agreed = grown.contradiction is None
+        grown.add(field, aperture, heights.key.stamp_ns / 1e9)
         self._map, self._map_axes, self._last = grown, axes, heights
         self._images += 1
+        if agreed and grown.contradiction:
+            yield Notice("offsets of dwells", grown.contradiction, heights.key)
 
     def _moved(self, origin: Origin, settings: Any) -> Iterator[Result]:
         """Place the next map that starts."""
@@ -358,7 +386,8 @@ class ReliefMapper(Mapper):
 
     def empty_map(self, field: HeightField, aperture: ApertureState, settings: Any) -> ReliefMap:
         """A map whose cells contain a pixel of the first height image."""
-        return ReliefMap(settings.cell_size_m or fitting_cell_size(field.grid, aperture), settings.max_cells)
+        cell_size = settings.cell_size_m or fitting_cell_size(field.grid, aperture)
+        return ReliefMap(cell_size, settings.max_cells, self.shared_error(settings))
 
 
 class GroundMapper(Mapper):
@@ -373,7 +402,8 @@ class GroundMapper(Mapper):
     def empty_map(self, field: HeightField, aperture: ApertureState, settings: Any) -> GroundMap:  # noqa: ARG002
         """A map whose cells are finer than the pixels of the first height image."""
         cell_size = settings.cell_size_m or fine_cell_size(field.grid)
-        return GroundMap(cell_size, max(ground_spacings(field.grid)), settings.max_cells, settings)
+        spacing = max(ground_spacings(field.grid))
+        return GroundMap(cell_size, spacing, settings.max_cells, settings, self.shared_error(settings))
 
 
 def _axes_about(origin: Origin | None, crs: str) -> ProjectedAxes | None:

@@ -16,6 +16,7 @@ from sal_height.relief.ground_map import GroundMap, fine_cell_size
 from sal_height.relief.heights import HeightField, Surface, height_field
 from sal_height.relief.layers import joined_rows
 from sal_height.relief.map import ReliefMap, fitting_cell_size
+from sal_height.relief.offsets import SharedError, stated_course
 from sal_height.relief.position_error import (
     circle_covariance,
     covariances_from_sigma,
@@ -58,6 +59,7 @@ __all__ = [
     "Relief",
     "ReliefMap",
     "ReliefPrior",
+    "SharedError",
     "Surface",
     "TrackedRelief",
     "TrackingSettings",
@@ -79,6 +81,7 @@ __all__ = [
     "position_jacobian",
     "smoothed",
     "smoothed_columns",
+    "stated_course",
     "steady_sigmas",
     "track",
     "turn_jacobian",

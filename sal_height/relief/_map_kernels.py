@@ -115,12 +115,22 @@ def average_cells(
         total[11] += weight * squared(height[i] + total[1] * east + total[2] * north - total[3]) / total[0]
 
 
-COLUMNS = 11
+COLUMNS = 14
 """Numbers of each cell of a map: those of `update_cells`."""
 
 
 @compiled_with_nan
-def update_cells(index: Index, height: F64, own: F64, structure: F64, common: F64, offset: float, cells: F64) -> None:
+def update_cells(
+    index: Index,
+    height: F64,
+    own: F64,
+    structure: F64,
+    common: F64,
+    offset: float,
+    time: float,
+    correlation: float,
+    cells: F64,
+) -> None:
     """Update the numbers of cells with measurements of the weight w = 1 / (own + structure), see `map.ReliefMap`.
 
     Chi-square is that of the measurements about their mean of the weight v = 1 / (own + structure + common^2), as if
@@ -135,8 +145,11 @@ def update_cells(index: Index, height: F64, own: F64, structure: F64, common: F6
         structure: variance of the heights within the cell, m^2, shape (measurements,).
         common: standard deviation of the error that all measurements share, m, shape (measurements,).
         offset: height of all measurements above the cells as they were, m.
+        time: time of all measurements, s.
+        correlation: time in which the correlation of what varies in the common errors falls to 1 / e, s.
         cells: of each cell mean height, sum of the weights w (1/m^2), mean of common (m), mean and sum of the weights
-            v, chi-square, and count; misfit, sum of w^2, sum of w^2 own, and mean of structure, to be updated, shape
+            v, chi-square, and count; misfit, sum of w^2, sum of w^2 own, and mean of structure; of the varying error of
+            unit variance that of the mean, its covariance with the last one, and time of that, s; to be updated, shape
             (cells, COLUMNS).
     """
     for i in range(len(index)):
@@ -146,9 +159,14 @@ def update_cells(index: Index, height: F64, own: F64, structure: F64, common: F6
         cell[8] += squared(weight)
         cell[9] += squared(weight) * own[i]
         cell[1] += weight
-        cell[0] += weight / cell[1] * (height[i] - cell[0])
-        cell[2] += weight / cell[1] * (common[i] - cell[2])
-        cell[10] += weight / cell[1] * (structure[i] - cell[10])
+        share = weight / cell[1]
+        cell[0] += share * (height[i] - cell[0])
+        cell[2] += share * (common[i] - cell[2])
+        cell[10] += share * (structure[i] - cell[10])
+        last = cell[12] * np.exp(-max(time - cell[13], 0.0) / correlation)
+        cell[11] = squared(1 - share) * cell[11] + 2 * (1 - share) * share * last + squared(share)
+        cell[12] = (1 - share) * last + share
+        cell[13] = max(time, cell[13]) if cell[6] > 0 else time
         weight = 1 / (own[i] + structure[i] + squared(common[i]))
         step = weight / (cell[4] + weight) * (height[i] - cell[3])
         cell[5] += squared(step) * cell[4] * (cell[4] + weight) / weight
@@ -159,12 +177,19 @@ def update_cells(index: Index, height: F64, own: F64, structure: F64, common: F6
 
 @compiled_with_nan
 def read_cells(
-    cells: F64, height: F32, variance: F32, misfit: F32, disagreement: F32, count: npt.NDArray[np.uint32]
+    cells: F64,
+    varying: float,
+    height: F32,
+    variance: F32,
+    misfit: F32,
+    disagreement: F32,
+    count: npt.NDArray[np.uint32],
 ) -> None:
     """Fill the heights of cells that were seen, their variance, disagreement and count, as in `map.Relief`.
 
     Args:
         cells: filled by `update_cells`, shape (rows, cols, COLUMNS).
+        varying: variance of the part of the common errors that varies, m^2.
         height: to be filled, m, shape (rows, cols), like all others.
         variance: to be filled, without what differs from dwell to dwell, m^2.
         misfit: to be filled as `structure_variance` has it where two dwells or more have seen the cell, shape
@@ -178,7 +203,9 @@ def read_cells(
             chi_square, dwells = cells[i, j, 5], cells[i, j, 6]
             if dwells > 0:
                 weights = cells[i, j, 1]
-                variance[i, j] = cells[i, j, 9] / squared(weights) + cells[i, j, 10] + squared(cells[i, j, 2])
+                common = squared(cells[i, j, 2])
+                common -= min(varying, common) * (1 - cells[i, j, 11])
+                variance[i, j] = cells[i, j, 9] / squared(weights) + cells[i, j, 10] + common
                 height[i, j] = cells[i, j, 0] if np.isfinite(variance[i, j]) else np.nan
                 count[i, j] = np.uint32(dwells)
             if dwells > 1:

@@ -17,8 +17,9 @@ import numpy.typing as npt
 
 from sal_height.errors import Rejected
 from sal_height.geometry import ApertureState
-from sal_height.numeric import F32, I64, U8, Index
+from sal_height.numeric import F32, F64, I64, U8, Index
 from sal_height.relief.heights import HeightField
+from sal_height.relief.offsets import LASTING, OffsetTest, SharedError
 
 TILE = 128
 """Side in cells of the square tiles by which the memory of a map grows."""
@@ -71,17 +72,24 @@ class CellMap(ABC):
     Attributes:
         cell_size: side of a cell, m.
         max_cells: greatest number of cells of the rectangle around all that was seen.
+        contradiction: message on the stated course of the shared error, from the dwell on that contradicts it; shared
+            errors do not average out in the map then. None: there is no contradiction.
     """
 
-    def __init__(self, cell_size: float, max_cells: int) -> None:
-        """An empty map."""
+    def __init__(self, cell_size: float, max_cells: int, shared: SharedError = LASTING) -> None:
+        """An empty map; `shared`: course of the height error that all pixels of a dwell share."""
         self.cell_size = cell_size
         self.max_cells = max_cells
+        self._shared = shared
+        self._offsets = OffsetTest(shared)
+        self.contradiction: str | None = None
         self._corners: I64 | None = None  # the rectangle around all that was seen
 
     @abstractmethod
-    def add(self, field: HeightField, aperture: ApertureState) -> None:
-        """Enter the heights of a dwell seen from `aperture`; if they are refused, the map does not change.
+    def add(self, field: HeightField, aperture: ApertureState, time: float = 0.0) -> None:
+        """Enter the heights of a dwell seen from `aperture` at a time, s; if they are refused, the map does not change.
+
+        Time matters where a course of the shared error is stated; dwells of one time share all of it.
 
         Raises:
             Rejected: the map would have more than `max_cells` cells.
@@ -93,6 +101,13 @@ class CellMap(ABC):
     def relief(self) -> Relief | None:
         """Return the map up to now; None if nothing was seen yet."""
         return None if self._corners is None else self._relief(self._corners)
+
+    def _compare_offsets(self, cells: I64, heights: F64, time: float) -> None:
+        """Enter a dwell into the test of what is stated; arguments as in `OffsetTest.add`."""
+        self._offsets.add(cells, heights, time)
+        self.contradiction = self.contradiction or self._offsets.contradiction
+        if self.contradiction:
+            self._shared = LASTING
 
     @abstractmethod
     def _relief(self, corners: I64) -> Relief:
@@ -118,6 +133,12 @@ class CellMap(ABC):
 def hull(one: I64, other: I64) -> I64:
     """The smallest rectangle of cells around two."""
     return np.stack([np.minimum(one[0], other[0]), np.maximum(one[1], other[1])])
+
+
+def cell_numbers(row: I64, col: I64) -> I64:
+    """One number for each row and column of cells, which are counted from the map's origin."""
+    most_cells = 2**31  # more than lie between the map's origin and any cell, along either axis
+    return row * most_cells + col
 
 
 def tiles_of(cells: I64) -> Iterator[tuple[tuple[int, int], Index]]:

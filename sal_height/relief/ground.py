@@ -28,6 +28,7 @@ from sal_height.numeric import F64, I64, U8, Bool
 from sal_height.relief import _kernels as kernels
 from sal_height.relief.layers import Layers, Neighbours, neighbours, on_walls, supported
 from sal_height.relief.membrane import Membrane, deviation, fitted_membrane, footprint
+from sal_height.relief.offsets import LASTING, SharedError
 from sal_height.relief.settings import GroundSettings
 from sal_height.relief.visibility import blocking_cells, contradicted
 
@@ -97,7 +98,9 @@ def unseen(east: float, north: float, cell_size: float, shape: tuple[int, int]) 
     return GroundEstimate(east, north, cell_size, height, sigma, kind, np.zeros(shape, np.uint32))
 
 
-def estimated_ground(layers: Layers, silent: Bool, grid: GroundGrid, settings: GroundSettings) -> GroundEstimate:
+def estimated_ground(
+    layers: Layers, silent: Bool, grid: GroundGrid, settings: GroundSettings, shared: SharedError = LASTING
+) -> GroundEstimate:
     """Estimate the ground in all cells of `grid` from the layers that lie in them.
 
     Args:
@@ -105,6 +108,7 @@ def estimated_ground(layers: Layers, silent: Bool, grid: GroundGrid, settings: G
         silent: cells in shadow by the pixels without a signal (`visibility.silent_cells`), shape of the grid.
         grid: cells of the estimate.
         settings: settings of the estimate.
+        shared: course of the height error that all pixels of a dwell share.
     """
     east, north = ((index + 0.5) * grid.cell_size for index in grid.first[::-1])
     tops = highest_surfaces(layers, grid, settings)
@@ -127,7 +131,8 @@ def estimated_ground(layers: Layers, silent: Bool, grid: GroundGrid, settings: G
         GroundKind.UNSEEN,
     ).astype(np.uint8)
     common, count = np.zeros(grid.shape), np.zeros(grid.shape, np.int64)
-    common.ravel()[number], count.ravel()[number] = variance, tops.dwells
+    common.ravel()[number] = shared.averaged(variance, tops.averaged)
+    count.ravel()[number] = tops.dwells
     sigma = deviation(membrane, grid.spacing / grid.cell_size)
     total = sigma**2 + common[nearest] + np.where(covered, jump**2 / 4, half**2)
     known = np.isin(kind, (GroundKind.MEASURED, GroundKind.INTERPOLATED)) & np.isfinite(total.astype(np.float32))

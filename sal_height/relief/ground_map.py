@@ -17,7 +17,8 @@ from sal_height.numeric import I64, Bool
 from sal_height.relief.cell_map import TILE, CellMap, Relief, hull, tiles_of
 from sal_height.relief.ground import GroundEstimate, GroundGrid, estimated_ground, unseen
 from sal_height.relief.heights import HeightField
-from sal_height.relief.layers import Layers, height_offset, joined_dwells, layers_of, merged_dwell
+from sal_height.relief.layers import Layers, height_offset, joined_dwells, layers_of, merged_dwell, single_layers
+from sal_height.relief.offsets import LASTING, SharedError
 from sal_height.relief.settings import DEFAULT_GROUND, GroundSettings
 from sal_height.relief.tracked import ground_spacings
 from sal_height.relief.visibility import silent_cells
@@ -43,7 +44,12 @@ class GroundMap(CellMap):
     """The highest surface of all ground that was seen, estimated whenever it is requested."""
 
     def __init__(
-        self, cell_size: float, spacing: float, max_cells: int, settings: GroundSettings = DEFAULT_GROUND
+        self,
+        cell_size: float,
+        spacing: float,
+        max_cells: int,
+        settings: GroundSettings = DEFAULT_GROUND,
+        shared: SharedError = LASTING,
     ) -> None:
         """An empty map.
 
@@ -52,8 +58,9 @@ class GroundMap(CellMap):
             spacing: spacing of pixels on level ground, the greater of along range and along track, m.
             max_cells: greatest number of cells of the rectangle around all that was seen.
             settings: settings of the estimate.
+            shared: course of the height error that all pixels of a dwell share.
         """
-        super().__init__(cell_size, max_cells)
+        super().__init__(cell_size, max_cells, shared)
         self.spacing = spacing
         self.settings = settings
         self._tiles: dict[tuple[int, int], Layers] = {}
@@ -61,9 +68,9 @@ class GroundMap(CellMap):
         self._estimate: GroundEstimate | None = None  # of whole tiles
         self._stale: I64 | None = None  # the rectangle around cells seen since they were estimated
 
-    def add(self, field: HeightField, aperture: ApertureState) -> None:
+    def add(self, field: HeightField, aperture: ApertureState, time: float = 0.0) -> None:
         """Enter all surfaces of a dwell; estimate once there are LEAST_CELLS new cells. See `CellMap.add`."""
-        seen = self.enter(field, aperture)
+        seen = self.enter(field, aperture, time)
         if seen is None:
             return
         together = seen if self._stale is None else hull(self._stale, seen)
@@ -75,8 +82,8 @@ class GroundMap(CellMap):
             if _count(seen) >= LEAST_CELLS:
                 self._renew()
 
-    def enter(self, field: HeightField, aperture: ApertureState) -> I64 | None:
-        """Enter all surfaces that a dwell saw from `aperture`; the estimate is not brought up to date.
+    def enter(self, field: HeightField, aperture: ApertureState, time: float = 0.0) -> I64 | None:
+        """Enter all surfaces that a dwell saw from `aperture` at a time, s; the estimate is not brought up to date.
 
         Returns:
             Row and column of the first and of the last cell that has a surface, shape (2, 2); None: no such cell.
@@ -84,12 +91,17 @@ class GroundMap(CellMap):
         Raises:
             Rejected: the map would have more than `max_cells` cells; it does not change.
         """
-        layers = merged_dwell(layers_of(field, aperture), self.cell_size, self.settings.gate)
+        layers = merged_dwell(layers_of(field, aperture, time), self.cell_size, self.settings.gate)
         if not len(layers):
             return None
         cells = layers.cells(self.cell_size)
         seen = np.stack([cells.min(axis=0), cells.max(axis=0)])
         self._grow(seen)
+        if self._shared.varying:
+            numbers, heights, _ = single_layers(layers, self.cell_size)
+            self._compare_offsets(numbers, heights, time)
+            if self.contradiction:
+                self._stale = self._corners
         self._join({place: layers.where(there) for place, there in tiles_of(cells)}, layers, seen)
         silent = silent_cells(field, aperture, self.settings.gate, self.cell_size)
         for place, there in tiles_of(silent):
@@ -107,7 +119,7 @@ class GroundMap(CellMap):
         offset = height_offset(list(known.values()), new, size, gate)
         for place, layers in tiles.items():
             self._tiles[place] = (
-                others[place].and_those(joined_dwells(known[place], layers, offset, size, gate))
+                others[place].and_those(joined_dwells(known[place], layers, offset, self._shared, size, gate))
                 if place in known
                 else layers
             )
@@ -157,7 +169,10 @@ class GroundMap(CellMap):
         grid = GroundGrid((int(outer[0, 0]), int(outer[0, 1])), (rows, cols), self.cell_size, self.spacing)
         assert self._estimate is not None  # noqa: S101 (`_grow` made it)
         _paste(
-            _part(estimated_ground(self._within(outer), self._silent_within(outer), grid, self.settings), inner),
+            _part(
+                estimated_ground(self._within(outer), self._silent_within(outer), grid, self.settings, self._shared),
+                inner,
+            ),
             self._estimate,
         )
 

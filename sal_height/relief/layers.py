@@ -8,7 +8,7 @@ dwells. Heights of rows that were estimated apart are joined here, too.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import reduce
 from typing import Any, Self
 
@@ -20,7 +20,9 @@ from scipy.spatial import cKDTree
 from sal_height.elevation import Validity
 from sal_height.geometry import ApertureState, aperture_at, sphere_coordinates
 from sal_height.numeric import F64, I64, Bool, Index
+from sal_height.relief.cell_map import cell_numbers
 from sal_height.relief.heights import HeightField, Surface
+from sal_height.relief.offsets import LEAST_SHARED, SharedError
 from sal_height.relief.slope import median
 
 
@@ -66,6 +68,9 @@ class Layers:
         common: covariance of those that all pixels of a dwell share, shape (n, 3, 3).
         towards: distance east and north along the line of sight to the sensor per metre of rise, m/m, shape (n, 2).
         dwells: number of dwells that have measured them, shape (n,).
+        averaged: variance of the mean over these dwells of a shared error that varies, over that of one, shape (n,).
+        last: covariance of that mean with the error of the last of these dwells, over the same, shape (n,).
+        time: time of the last of these dwells, s, shape (n,).
     """
 
     place: F64
@@ -73,6 +78,9 @@ class Layers:
     common: F64
     towards: F64
     dwells: I64
+    averaged: F64
+    last: F64
+    time: F64
 
     def __len__(self) -> int:
         return len(self.place)
@@ -90,6 +98,12 @@ class Layers:
         """Some of the layers."""
         return type(self)(*(getattr(self, entry.name)[chosen] for entry in fields(self)))
 
+    def at(self, time: float, shared: SharedError) -> Self:
+        """The layers with their covariance with the shared error at a later time, s."""
+        return replace(
+            self, last=self.last * shared.correlation_after(time - self.time), time=np.maximum(self.time, time)
+        )
+
     def and_those(self, others: Layers) -> Self:
         """All layers of both."""
         return type(self)(
@@ -97,13 +111,13 @@ class Layers:
         )
 
 
-def layers_of(field: HeightField, aperture: ApertureState) -> Layers:
-    """All surfaces of all pixels of a dwell seen from `aperture`."""
-    first, *others = (_layers_of_surface(surface, aperture) for surface in field.surfaces)
+def layers_of(field: HeightField, aperture: ApertureState, time: float = 0.0) -> Layers:
+    """All surfaces of all pixels of a dwell seen from `aperture` at a time, s."""
+    first, *others = (_layers_of_surface(surface, aperture, time) for surface in field.surfaces)
     return reduce(Layers.and_those, others, first)
 
 
-def _layers_of_surface(surface: Surface, aperture: ApertureState) -> Layers:
+def _layers_of_surface(surface: Surface, aperture: ApertureState, time: float) -> Layers:
     """One layer for each pixel.
 
     Errors along its circle add to the covariance: all of sigma if no covariance is known, and the spread of an extended
@@ -129,6 +143,9 @@ def _layers_of_surface(surface: Surface, aperture: ApertureState) -> Layers:
         common=np.nan_to_num(common),
         towards=sight[:, :2] / sight[:, 2:],
         dwells=np.ones(len(points), dtype=np.int64),
+        averaged=np.ones(len(points)),
+        last=np.ones(len(points)),
+        time=np.full(len(points), time),
     )
     rises = np.isfinite(layers.own).all(axis=(1, 2)) & np.isfinite(layers.towards).all(axis=1)
     return layers.where(np.asarray(rises))
@@ -139,12 +156,15 @@ def merged_dwell(layers: Layers, cell_size: float, gate: float) -> Layers:
     return _merged(layers, layers.place[:, 2], cell_size, gate, np.maximum)
 
 
-def joined_dwells(known: Layers, new: Layers, offset: float, cell_size: float, gate: float) -> Layers:
+def joined_dwells(
+    known: Layers, new: Layers, offset: float, shared: SharedError, cell_size: float, gate: float
+) -> Layers:
     """Merge layers of a new dwell with those that are known; arguments and result as `_merged` has them.
 
     They are compared without the height `offset` (m) of the new dwell (`height_offset`), which remains in the heights:
-    either may be right.
+    either may be right. `shared` is the course of the error that all pixels of a dwell share.
     """
+    known = known.at(new.time.max(initial=-np.inf), shared)
     compared = np.concatenate([known.place[:, 2], new.place[:, 2] - offset])
     return _merged(known.and_those(new), compared, cell_size, gate, np.add)
 
@@ -160,9 +180,9 @@ def height_offset(known: Sequence[Layers], new: Layers, cell_size: float, gate: 
     if not known:
         return 0.0
     old_cells, old_heights, old_variances = (
-        np.concatenate(parts) for parts in zip(*(_singles(layers, cell_size) for layers in known), strict=True)
+        np.concatenate(parts) for parts in zip(*(single_layers(layers, cell_size) for layers in known), strict=True)
     )
-    new_cells, new_heights, new_variances = _singles(new, cell_size)
+    new_cells, new_heights, new_variances = single_layers(new, cell_size)
     _, ours, theirs = np.intersect1d(old_cells, new_cells, assume_unique=True, return_indices=True)
     if len(ours) < max(LEAST_SHARED, len(new_cells) / 4):
         return 0.0
@@ -173,15 +193,9 @@ def height_offset(known: Sequence[Layers], new: Layers, cell_size: float, gate: 
     return offset if after >= 0.75 * len(ours) and before < after / 2 else 0.0
 
 
-LEAST_SHARED = 30
-"""Least number of cells that two dwells share from which the difference of their common errors is found."""
-
-
-def _singles(layers: Layers, cell_size: float) -> tuple[I64, F64, F64]:
+def single_layers(layers: Layers, cell_size: float) -> tuple[I64, F64, F64]:
     """Number of each cell that has one layer, and the layer's height (m) and own variance (m^2)."""
-    row, col = layers.cells(cell_size).T
-    most_cells = 2**31  # more than lie between the map's origin and any cell, along either axis
-    number, first, count = np.unique(row * most_cells + col, return_index=True, return_counts=True)
+    number, first, count = np.unique(cell_numbers(*layers.cells(cell_size).T), return_index=True, return_counts=True)
     single = first[count == 1]
     return number[count == 1], layers.place[single, 2], layers.own[single, 2, 2]
 
@@ -191,7 +205,8 @@ def _merged(layers: Layers, compared: F64, cell_size: float, gate: float, count:
 
     What all pixels of a dwell share cancels where they are compared, so that the own errors alone decide and weigh:
     with w = 1 / own variance of height, they average, sum w^2 C / (sum w)^2. Common errors remain, sum w C / sum w,
-    those of different dwells, too: no message says how alike they are, and a mean cannot err more.
+    those of different dwells, too: no message says how alike they are, and a mean cannot err more. What is stated of
+    them is in `averaged` and `last`.
 
     Args:
         layers: layers in any order.
@@ -217,12 +232,18 @@ def _merged(layers: Layers, compared: F64, cell_size: float, gate: float, count:
         shape = (-1,) + (1,) * (values.ndim - 1)
         return np.add.reduceat(values * weights.reshape(shape), begins) / sums.reshape(shape)
 
+    # Errors of which no more is known than their variance and their covariance with the last one may be all alike.
+    last = mean(layers.last, weight, total)
+    older = mean(np.sqrt(np.maximum(layers.averaged - layers.last**2, 0.0)), weight, total)
     return Layers(
         place=mean(layers.place, weight, total),
         own=mean(layers.own, weight**2, total**2),
         common=mean(layers.common, weight, total),
         towards=mean(layers.towards, weight, total),
         dwells=count.reduceat(layers.dwells, begins),
+        averaged=last**2 + older**2,
+        last=last,
+        time=np.maximum.reduceat(layers.time, begins),
     )
 
 

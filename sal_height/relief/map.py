@@ -12,9 +12,10 @@ slope up to STEEPEST, and that slope times the distance to the centre is added.
 
 The errors of pixels are independent, except for the part caused by the platform's pose and by uncertain beams, which
 all pixels of a dwell share. No message says how alike these are in different dwells: a pose that drifts, a boresight
-and beams err in the same way for many. Averaging therefore does not reduce the common part: its sigma is the mean of
-those of the dwells, which is right if they all err alike, and too large otherwise. Nor does it enter a weight: an error
-that all share cancels wherever heights are compared, so that a greater one makes sigma greater and moves no height.
+and beams err in the same way for many. Averaging therefore does not reduce the common part unless its course is stated
+(`offsets`): its sigma is the mean of those of the dwells, which is right if they all err alike, and too large
+otherwise. Nor does it enter a weight: an error that all share cancels wherever heights are compared, so that a greater
+one makes sigma greater and moves no height.
 
 Structure of the ground within a cell is no error that dwells average away: what they see of it is added to sigma as it
 is (`structure`), beyond an offset that a dwell has in all cells. Sigma is too small if a spatial prior couples
@@ -32,9 +33,9 @@ from sal_height.errors import Rejected
 from sal_height.geometry import ApertureState, Grid, sphere_coordinates
 from sal_height.numeric import F64, I64, Bool, in_parallel
 from sal_height.relief._map_kernels import COLUMNS, average_cells, gather_pixels, read_cells, update_cells
-from sal_height.relief.cell_map import TILE, CellMap, Relief, tiles_of
+from sal_height.relief.cell_map import TILE, CellMap, Relief, cell_numbers, tiles_of
 from sal_height.relief.heights import HeightField, Surface
-from sal_height.relief.layers import LEAST_SHARED
+from sal_height.relief.offsets import LASTING, LEAST_SHARED, SharedError
 from sal_height.relief.position_error import STEEPEST
 from sal_height.relief.slope import LEAST_PIXELS, ground_slope, median
 from sal_height.relief.structure import structure_variance
@@ -44,18 +45,19 @@ from sal_height.relief.tracked import ground_spacings
 class ReliefMap(CellMap):
     """Mean heights of all dwells."""
 
-    def __init__(self, cell_size: float, max_cells: int) -> None:
+    def __init__(self, cell_size: float, max_cells: int, shared: SharedError = LASTING) -> None:
         """An empty map.
 
         Args:
             cell_size: side of a cell, m.
             max_cells: greatest number of cells of the rectangle around all that was seen.
+            shared: course of the height error that all pixels of a dwell share.
         """
-        super().__init__(cell_size, max_cells)
+        super().__init__(cell_size, max_cells, shared)
         # The columns of `update_cells`.
         self._tiles: dict[tuple[int, int], F64] = {}
 
-    def add(self, field: HeightField, aperture: ApertureState | None = None) -> None:  # noqa: ARG002
+    def add(self, field: HeightField, aperture: ApertureState | None = None, time: float = 0.0) -> None:  # noqa: ARG002
         """Enter the heights of a dwell; the aperture makes no difference. See `CellMap.add`."""
         pixels = _pixels_of(field)
         if not pixels.height.size:
@@ -63,11 +65,13 @@ class ReliefMap(CellMap):
         cells = np.floor(pixels.place[::-1] / self.cell_size).astype(np.int64)
         seen = np.array([cells.min(axis=1), cells.max(axis=1)])
         corners = self._grown(seen)
-        self._enter(_averaged(pixels, cells, seen, self.cell_size))
+        self._enter(_averaged(pixels, cells, seen, self.cell_size), time)
         self._corners = corners
 
-    def _enter(self, seen: _Cells) -> None:
+    def _enter(self, seen: _Cells, time: float) -> None:
         """Enter a dwell's mean heights."""
+        if self._shared.varying:
+            self._compare_offsets(cell_numbers(seen.row, seen.col), seen.height, time)
         index = seen.row % TILE * TILE + seen.col % TILE
         tiles = list(tiles_of(np.stack([seen.row, seen.col], axis=-1)))
         before = np.full(len(index), np.nan)
@@ -87,6 +91,8 @@ class ReliefMap(CellMap):
                 seen.structure[here],
                 seen.common[here],
                 offset,
+                time,
+                self._shared.correlation,
                 self._tiles[tile],
             )
 
@@ -101,6 +107,7 @@ class ReliefMap(CellMap):
             there = np.s_[south - first[0] : end_row - first[0], west - first[1] : end_col - first[1]]
             read_cells(
                 tile.reshape(TILE, TILE, COLUMNS)[of_tile],
+                self._shared.varying**2,
                 height[there],
                 variance[there],
                 misfit[there],

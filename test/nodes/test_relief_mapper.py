@@ -267,6 +267,17 @@ def test_what_cannot_be_used_is_counted_and_leaves_the_map_as_it_is(mapped: MapS
     assert (mapped.mapper.summary()["in"], mapped.mapper.summary()["processed"]) == (len(REFUSED) + 2, 2)
 
 
+def test_dwells_that_contradict_the_stated_course_of_their_error_are_said_once() -> None:
+    """Twenty dwells of equal heights, where offsets of 10 m that change from dwell to dwell are stated."""
+    mapped = MapStage(varying_offset_m=10.0, offset_correlation_s=0.1)
+    mapped.feed(*(height_image(dwell) for dwell in range(20)))
+    assert mapped.map_of(20).layers[0].count.max() == 20
+    assert mapped.mapper.counted("ignored.") == {"offsets of dwells": 1}
+    silent = MapStage()
+    silent.feed(*(height_image(dwell) for dwell in range(20)))
+    assert silent.mapper.counted("ignored.") == {}
+
+
 def test_single_bad_pixels_do_not_enter_and_are_counted(mapped: MapStage) -> None:
     image = height_image(0)
     image.surfaces[0].sigma[0], image.surfaces[0].east[1] = float("inf"), float("nan")
@@ -394,6 +405,7 @@ def test_heights_that_wait_for_the_worker_are_in_the_map(graph: Graph, tmp_path:
     [
         ({"cell_size_m": -1.0}, "cell_size_m is -1.0"),
         ({"max_cells": 0}, "max_cells is 0"),
+        ({"varying_offset_m": 0.1}, "varying_offset_m is stated without offset_correlation_s"),
         ({"period_s": 0.0}, "period_s is 0.0"),
         ({"origin_latitude_deg": 91.0}, "origin_latitude_deg is 91.0"),
         ({"crs": "EPSG:1"}, "'EPSG:1' is not known to PROJ"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -24,7 +25,8 @@ def layers_at(places: F64) -> Layers:
     """Layers with errors of SIGMA along the circle, seen from the north at 45 degrees."""
     count = len(places)
     own = np.broadcast_to(SIGMA**2 * np.outer(CIRCLE, CIRCLE), (count, 3, 3))
-    return Layers(places, own, np.zeros((count, 3, 3)), np.tile([0.0, 1.0], (count, 1)), np.ones(count, dtype=np.int64))
+    common, towards, once = np.zeros((count, 3, 3)), np.tile([0.0, 1.0], (count, 1)), np.ones(count)
+    return Layers(places, own, common, towards, once.astype(np.int64), once, once, 0 * once)
 
 
 def seen(terrain: Callable[[F64], F64], rng: np.random.Generator) -> F64:
@@ -169,7 +171,7 @@ def test_common_errors_of_a_dwell_do_not_average_out() -> None:
     layers = layers_at(places)
     common = np.zeros((len(layers), 3, 3))
     common[:, 2, 2] = 0.05**2
-    layers = Layers(layers.place, layers.own, common, layers.towards, layers.dwells)
+    layers = replace(layers, common=common)
     ground = estimated_ground(layers.where(is_inside(places)), NOWHERE, GRID, SETTINGS)
     assert np.allclose(ground.sigma[5:-5, 5:-5], 0.05, rtol=0.1)
 

@@ -268,8 +268,9 @@ def test_cells_of_a_map() -> None:
     height, own, structure, common = rng.standard_normal((9, 5)), *rng.uniform(0.1, 2, (3, 9, 5))
     cells, weight = np.zeros((8, map_kernels.COLUMNS)), 1 / (own + structure)
     index = np.array([6, 0, 3, 2, 7])
-    for measured in zip(height, own, structure, common, strict=True):
-        map_kernels.update_cells(index, *measured, 0.0, cells)
+    times, correlation = np.sort(rng.uniform(0, 9, 9)), 2.0
+    for time, *measured in zip(times, height, own, structure, common, strict=True):
+        map_kernels.update_cells(index, *measured, 0.0, time, correlation, cells)
     total, of_all = weight.sum(axis=0), 1 / (own + structure + common**2)
     mean, mean_of_all = (np.average(height, axis=0, weights=weights) for weights in (weight, of_all))
     chi_square, misfit = (
@@ -278,6 +279,8 @@ def test_cells_of_a_map() -> None:
     common_of_mean, structure_of_mean = (np.average(values, axis=0, weights=weight) for values in (common, structure))
     numbers = [mean, total, common_of_mean, mean_of_all, of_all.sum(axis=0), chi_square, np.full(5, 9)]
     numbers += [misfit, np.sum(weight**2, axis=0), np.sum(weight**2 * own, axis=0), structure_of_mean]
+    share, alike = weight / total, np.exp(-np.abs(times[:, None] - times) / correlation)
+    numbers += [np.einsum("ic,jc,ij->c", share, share, alike), alike[-1] @ share, np.full(5, times[-1])]
     np.testing.assert_allclose(cells[index], np.stack(numbers, axis=-1))
     assert not cells[[1, 4, 5]].any()
 
@@ -286,7 +289,7 @@ def test_an_offset_of_all_measurements_is_no_misfit() -> None:
     height, ones = np.arange(4.0), np.ones(4)
     cells = np.zeros((4, map_kernels.COLUMNS))
     for offset in (0.0, 0.25):
-        map_kernels.update_cells(np.arange(4), height + offset, ones, 0 * ones, ones, offset, cells)
+        map_kernels.update_cells(np.arange(4), height + offset, ones, 0 * ones, ones, offset, 0.0, np.inf, cells)
     np.testing.assert_allclose(cells[:, 0], height + 0.125)
     assert not cells[:, 7].any()
     assert (cells[:, 5] > 0).all()

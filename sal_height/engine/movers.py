@@ -16,7 +16,7 @@ from sal_height.engine.heights import ImageStage, images_of
 from sal_height.engine.image_items import ChannelImage, Images
 from sal_height.engine.kept import RecentValues
 from sal_height.engine.settings import ChannelSettings
-from sal_height.engine.stage import DwellKey, Job, Loss, Notice, Port, Product, Reset, Result
+from sal_height.engine.stage import DwellKey, Event, Job, Loss, Notice, Port, Product, Reset, Result
 from sal_height.errors import Rejected, UserError
 from sal_height.movers import ALONE, DwellMovers, Looked, MoverSettings, StripMovers, check_sensor
 from sal_height.pipeline import dwell_with_movers, strip_with_movers
@@ -27,6 +27,9 @@ MOVERS = "movers"
 
 NO_OVERLAP = "no overlap"
 """Kind of the notice that a dwell by itself shows no movers."""
+
+CANDIDATES = "mover candidates"
+"""Event of a pixel that was tested for motion."""
 
 UNPUBLISHED = "unpublished"
 """Input of the job that publishes the last dwells."""
@@ -159,10 +162,8 @@ class MoverDetection(ImageStage):
             if looked is None:
                 yield Notice(NO_OVERLAP, ALONE.format(images.key.number), images.key)
             else:
-                yield self._product(images, looked)
-
-    def _product(self, images: Images, looked: Looked) -> Product:
-        return Product(MOVERS, ImageMovers(images.key, images.frame_id, images, looked))
+                yield Product(MOVERS, ImageMovers(images.key, images.frame_id, images, looked))
+                yield Event(CANDIDATES, times=looked.candidates)
 
 
 def _movers_of_sensors(

@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 from sal_height.engine.frames import PlacedOrigin
 from sal_height.engine.mapper import ORIGIN_PORT
 from sal_height.engine.settings import FrameSettings, MapOriginSettings
-from sal_height.engine.stage import Port, Product, Stage, StageSettings
-from sal_height.errors import Rejected, UserError
+from sal_height.engine.stage import Port, Product, Remark, Stage, StageSettings
+from sal_height.errors import UserError
 from sal_height.geometry import GEOID_SIGMA_M, LEVELS, UNKNOWN_LEVEL, Altitudes, Navigation, PlatformState, Sample
 from sal_height.settings import setting
 from sal_height.topics import MAP_ORIGIN, ODOMETRY
@@ -137,8 +137,8 @@ class NavigationStage(Stage):
     def begin(self, stamp_ns: int) -> None:
         """Publish the origin of the map where it is known, and report altitudes of an unknown level."""
         if self._settings.position == "fix" and not self._altitudes.is_known:
-            unknown = Rejected("altitude above an unknown level", UNKNOWN_LEVEL)
-            self.warn(unknown.reason, unknown)
+            self.add(Remark(UNKNOWN_LEVEL))
+            self.count("altitude above an unknown level")
         if (origin := self._settings.origin) is not None:
             self.add(Product(MAP_ORIGIN, PlacedOrigin(origin, stamp_ns, self._settings.map_frame)))
 

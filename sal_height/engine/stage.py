@@ -126,10 +126,12 @@ class Event:
     Attributes:
         name: name under which it is counted.
         dwell: dwell before which the stage was reset; None: another event.
+        times: number of times that it happened.
     """
 
     name: str
     dwell: DwellKey | None = None
+    times: int = 1
 
     @property
     def loss(self) -> Loss | None:

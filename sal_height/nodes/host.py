@@ -399,7 +399,7 @@ class StageNode(WorkerNode):
                 (self.ignore if one.dwell is None else self.doubt)(one.kind, UserError(one.sentence))
             elif isinstance(one, Event):
                 count = self.tell if one.name == CALIBRATIONS_ARRIVED else self.tally.note
-                count(one.name)
+                count(one.name, one.times)
                 if one.loss:
                     self._publish_loss(one.loss)
             elif isinstance(one, FileProduct):

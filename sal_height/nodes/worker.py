@@ -373,9 +373,9 @@ class WorkerNode(Role, Managed):
         self.tally.ignore(what)
         self.last_rejection = f"{what}: {error}"
 
-    def tell(self, event: str) -> None:
+    def tell(self, event: str, times: int = 1) -> None:
         """Count something that costs no message, and publish the account at once: somebody may wait for it."""
-        self.tally.note(event)
+        self.tally.note(event, times)
         self._publish_account()
 
     @property

@@ -185,7 +185,7 @@ class Joined:
             elif isinstance(one, Notice):
                 host.ignore(one.kind, one.sentence)
             elif isinstance(one, Event):
-                host.counts[one.name] += 1
+                host.counts[one.name] += one.times
             else:
                 self.report(made)
 

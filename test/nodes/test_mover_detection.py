@@ -81,6 +81,7 @@ def test_a_car_comes_out_with_place_height_and_speed_and_twice_the_same() -> Non
     assert abs(one["walk_velocity"] - RADIAL) < 4 * one["walk_sigma"] < 1.0
     assert 0 < one["sigma"] < 0.05
     assert one["walks"] == 1.0
+    assert fed.stage.summary()["mover candidates"] > 1
     fed.stage.forget()
     fed.publish(sensor, [[shifted(image) for image in dwell] for dwell in dwells])
     fed.graph.wait(lambda: len(fed.clouds) == 10, "the clouds")

@@ -116,7 +116,7 @@ def test_altitudes_above_the_geoid_are_raised_and_those_above_an_unknown_level_a
         instruments = Instruments(position="fix", velocity="positions", **parameters)
         for tenth in range(6):
             instruments.send(fix_at(0.1 * tenth, 48.1 + 1e-5 * tenth), imu_at(0.1 * tenth + 0.02))
-        made[name] = instruments.states()[0], instruments.stage.counted("ignored.")
+        made[name] = instruments.states()[0], instruments.stage.summary()
     up = {name: state.position[2] - made["ellipsoid"][0].position[2] for name, (state, _) in made.items()}
     assert up["geoid"] == pytest.approx(47.0, abs=1e-3)
     assert up["unknown"] == 0

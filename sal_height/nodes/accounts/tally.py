@@ -80,10 +80,10 @@ class Tally:
             self._ignored[reason] += 1
             self._ignored_lately.add(self._clock(), reason, 1)
 
-    def note(self, event: str) -> None:
+    def note(self, event: str, times: int = 1) -> None:
         """Something worth counting has happened that costs no message."""
         with self._lock:
-            self._noted[event] += 1
+            self._noted[event] += times
 
     def finish(self, messages: int, published: int, latency_s: float) -> None:
         """That many messages became that many products, `latency_s` after they were complete and handed over.

@@ -166,7 +166,7 @@ class _Recording:
         elif isinstance(result, Notice):
             counts.ignored[result.kind] += 1
         elif isinstance(result, Event):
-            counts.events[result.name] += 1
+            counts.events[result.name] += result.times
             if result.loss:
                 self._write_loss(made.stage.name, result.loss)
 

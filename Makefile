@@ -6,6 +6,7 @@ venv := .venv/.made-with-$(version)
 packages := .venv/.packages
 messages := .venv/.messages
 loops := .venv/.loops
+test_modules := .venv/.test_modules
 viewer := .venv/.viewer
 jupyter := .venv/.jupyter
 pip := .venv/bin/python -m pip --disable-pip-version-check --quiet
@@ -69,6 +70,10 @@ $(loops): $(packages) tools/compile_loops.py
 	@.venv/bin/python tools/compile_loops.py
 	@touch $@
 
+# Test modules are compiled to bytecode, which each worker of a first run would do for itself: 20 s of processor time.
+$(test_modules): $(viewer)
+	@.venv/bin/pytest --collect-only -q > $@ || { cat $@; rm $@; exit 1; }
+
 # What only tests of the optional viewer need: 230 MB.
 $(viewer): $(messages)
 	@$(pip) install rerun-sdk
@@ -101,12 +106,12 @@ notebooks: setup $(jupyter)
 run-tests = OPENBLAS_NUM_THREADS=1 .venv/bin/pytest --numprocesses 3
 
 test:
-	@$(MAKE) --no-print-directory -j2 lint $(loops) $(viewer)
+	@$(MAKE) --no-print-directory -j2 lint $(loops) $(test_modules)
 	$(run-tests)
 
 # Tests marked as thorough, too: Monte Carlo at full strength and every replay from end to end.
 thorough:
-	@$(MAKE) --no-print-directory -j2 lint $(loops) $(viewer)
+	@$(MAKE) --no-print-directory -j2 lint $(loops) $(test_modules)
 	$(run-tests) -m ''
 	@$(MAKE) --no-print-directory soak MINUTES=10
 

@@ -46,10 +46,16 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     items.sort(key=lambda item: ranks.get(item.path, len(ranks)))
 
 
+def pytest_collection() -> None:
+    """What modules make stays: a collector of garbage would look at all of it again and again for nothing."""
+    gc.disable()
+
+
 def pytest_collection_finish() -> None:
     """What all modules have made stays to the end: the collector looks at it no more, nor do forked processes."""
     gc.collect()
     gc.freeze()
+    gc.enable()
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -11,6 +11,7 @@ import pytest
 from flown_items import SMALL, frames_in, heights_in, small_flight
 from same_items import difference
 
+from sal_height.engine.height_items import Heights
 from sal_height.numeric import arrays_of, joined_bytes
 
 
@@ -33,33 +34,44 @@ def sent(item: Any) -> Any:
     return pickle.loads(pickle.dumps(item, protocol=5))  # noqa: S301 (our own bytes)
 
 
-HEIGHTS = heights_in(small_flight(1), **SMALL)[0]
+@pytest.fixture
+def heights() -> Heights:
+    """Heights of a dwell of the small preset."""
+    return heights_in(small_flight(1), **SMALL)[0]
 
 
 @pytest.mark.parametrize(
-    ("item", "most"),
+    ("name", "most"),
     [
-        (frames_in(small_flight(1), 0), 8 * 28),
-        (small_flight(1).platform_states(0)[0], 8),
-        (HEIGHTS.grid, 12),
-        (HEIGHTS.aperture, 14),
-        (HEIGHTS.surfaces[0], 40),
-        (HEIGHTS.provenance, 8),
-        (HEIGHTS, 300),
+        ("frames", 8 * 28),
+        ("state", 8),
+        ("grid", 12),
+        ("aperture", 14),
+        ("surface", 40),
+        ("provenance", 8),
+        ("heights", 300),
     ],
-    ids=["frames", "state", "grid", "aperture", "surface", "provenance", "heights"],
 )
-def test_items_arrive_equal_and_are_few_objects(item: Any, most: int) -> None:
+def test_items_arrive_equal_and_are_few_objects(name: str, most: int, heights: Heights) -> None:
     """Each object costs about half a microsecond, and an array is ten."""
-    assert not difference(item, sent(item))
-    assert objects_of(item) <= most
+    items = {
+        "frames": frames_in(small_flight(1), 0),
+        "state": small_flight(1).platform_states(0)[0],
+        "grid": heights.grid,
+        "aperture": heights.aperture,
+        "surface": heights.surfaces[0],
+        "provenance": heights.provenance,
+        "heights": heights,
+    }
+    assert not difference(items[name], sent(items[name]))
+    assert objects_of(items[name]) <= most
 
 
-def test_what_follows_from_heights_is_not_sent() -> None:
-    before = len(pickle.dumps(HEIGHTS))
-    assert HEIGHTS.field.validity.any()
-    assert HEIGHTS.aperture.state is HEIGHTS.aperture.state
-    assert len(pickle.dumps(HEIGHTS)) == before
+def test_what_follows_from_heights_is_not_sent(heights: Heights) -> None:
+    before = len(pickle.dumps(heights))
+    assert heights.field.validity.any()
+    assert heights.aperture.state is heights.aperture.state
+    assert len(pickle.dumps(heights)) == before
 
 
 def test_arrays_are_joined_and_parted_to_the_bit() -> None:

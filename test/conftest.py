@@ -23,6 +23,7 @@ with warnings.catch_warnings():
     import rosidl_generator_py  # noqa: F401
 
 import pytest
+from blank_pictures import blank_pictures as pictures_that_are_blank
 
 from sal_height.nodes.transport.domain import free_domain
 from sal_height.nodes.transport.graph import Graph
@@ -97,6 +98,13 @@ def graph(domain_id: int) -> Iterator[Graph]:
     """Context and executor in a DDS domain of their own."""
     with Graph(domain_id) as graph:
         yield graph
+
+
+@pytest.fixture
+def blank_pictures() -> Iterator[None]:
+    """Pictures of runs are white while a test runs."""
+    with pictures_that_are_blank():
+        yield
 
 
 @pytest.fixture(scope="session")

@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 
 import pytest
+from blank_pictures import blank_pictures
 
 from sal_height.commands import main
 from sal_height.commands._options import output_folder
@@ -62,7 +63,8 @@ def beside(tmp_path_factory: pytest.TempPathFactory) -> Path:
         patch.chdir(folder)
         Path("out/small").mkdir(parents=True)
         Path("out/small/mine.txt").write_text("mine")
-        assert main(["run", "--preset", "small", *words]) == 0
+        with blank_pictures():
+            assert main(["run", "--preset", "small", *words]) == 0
     return folder
 
 
@@ -86,6 +88,7 @@ def test_a_run_without_a_valid_height_ends_with_status_1(tmp_path: Path, capsys:
     assert not (tmp_path / "out" / "height.png").exists()
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_without_out_the_next_free_folder_is_taken(
     beside: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -98,6 +101,7 @@ def test_without_out_the_next_free_folder_is_taken(
     assert "out/replay_small_2/report.json" in capsys.readouterr().out
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_dropped_messages_end_a_run_with_status_1(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A range window of which no pixel is left after looks: monopulse is right, and ml has no image."""
     words = ["--dwells", "1", "--param", "ml_height.range_looks=512"]

@@ -118,6 +118,7 @@ def elevation_model(folder: Path, too_high: float = 0.0) -> Path:
     return folder / "street.npz"
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_known_ground_that_is_not_there_is_left_out(
     flight: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -131,6 +132,7 @@ def test_known_ground_that_is_not_there_is_left_out(
     assert too_high == pytest.approx(1.0, abs=0.5)
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_known_ground_is_used(flight: Path, tmp_path: Path) -> None:
     ground = elevation_model(tmp_path)
     out = tmp_path / "out"
@@ -142,6 +144,7 @@ def test_known_ground_is_used(flight: Path, tmp_path: Path) -> None:
     assert not any("Without known ground" in sentence for sentence in report["warnings"])
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_what_is_not_there_is_said_and_the_result_is_without_it(
     flight: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -158,6 +161,7 @@ def test_what_is_not_there_is_said_and_the_result_is_without_it(
     assert report_of(out)["comparisons_with_known_ground"] == 0
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_passes_that_do_not_overlap_are_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     preset = preset_of(1, 4)
     apart = replace(preset, flight=replace(preset.flight, dwell_spacing_m=3.0))
@@ -216,6 +220,7 @@ def test_a_sensor_with_one_detector_is_refused(tmp_path: Path, capsys: pytest.Ca
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_what_stays_as_it_was_has_no_value(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Dwells of one pass: Doppler centroids tell a boresight that is known badly, and none that is known well."""
     preset = preset_of(1, 4)
@@ -269,6 +274,7 @@ def test_known_ground_may_be_what_the_node_and_files_allow() -> None:
     assert (sigma.minimum, sigma.default, sigma.maximum) == (LEAST_SIGMA_M, DEFAULT_SIGMA_M, MOST_SIGMA_M)
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_faults_together_cost_a_dwell_and_a_sample(flight: Path, tmp_path: Path) -> None:
     """In a namespace, with a frame missing and a sample of the odometry that cannot be read."""
     reader, broken = BagReader(flight), tmp_path / "bag"

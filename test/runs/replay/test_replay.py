@@ -55,6 +55,7 @@ def test_replay_equals_the_recording_value_for_value(recorded: Path, tmp_path: P
         assert result.fields[HEIGHT].values > 200
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_replay_with_another_parameter_shows_the_difference(recorded: Path, tmp_path: Path, replay: Any) -> None:
     result = replay(recorded / "bag", tmp_path / "replay", {"ml_height": {"objective": "numerator"}})
     assert result.compared["/monopulse/height"].verdict == EQUAL
@@ -66,6 +67,7 @@ def test_replay_with_another_parameter_shows_the_difference(recorded: Path, tmp_
     assert result.accuracy["ml"]["s68_m"] != accuracy["ml"]["s68_m"]
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_a_replay_on_another_grid_says_how_it_differs(recorded: Path, tmp_path: Path, replay: Any) -> None:
     result = replay(recorded / "bag", tmp_path / "out", {"sar_compression": {"rows": 32}})
     topics = r"\(/ml/height, /monopulse/height, /tracked/height\)"
@@ -80,6 +82,7 @@ def test_a_replay_on_another_grid_says_how_it_differs(recorded: Path, tmp_path: 
     assert report["fields"][HEIGHT]["unmatched"] > 0
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_the_tables_say_what_came_out(
     recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], replay_words: list[str]
 ) -> None:
@@ -142,6 +145,7 @@ def test_a_topic_that_nobody_publishes_cannot_be_recorded(recorded: Path, tmp_pa
         replay(recorded / "bag", tmp_path / "out", {}, Execution(record=["/music"]))
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_the_tolerance_of_a_file_decides(recorded: Path, tmp_path: Path, replay_words: list[str]) -> None:
     """The platform 0.1 mm higher: heights are, too, and all else moves with it."""
     reader = BagReader(recorded / "bag")
@@ -160,6 +164,7 @@ def test_the_tolerance_of_a_file_decides(recorded: Path, tmp_path: Path, replay_
         assert status == (report["verdict"] == "changed")
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_all_versions_of_the_reference_bag_give_the_same_heights(tmp_path: Path, replay: Any) -> None:
     """They hold one flight, which was processed with other defaults when the older ones were recorded."""
     for version in ("version_0", "version_1", "version_2", "version_3"):
@@ -175,6 +180,7 @@ def test_all_versions_of_the_reference_bag_give_the_same_heights(tmp_path: Path,
             assert (result.verdict, result.matched) == (WITHIN if version == "version_0" else EQUAL, 2)
 
 
+@pytest.mark.usefixtures("blank_pictures")
 @pytest.mark.parametrize("version", [0, pytest.param(1, marks=pytest.mark.thorough)])
 def test_an_upgraded_bag_gives_the_heights_of_the_old_one(version: int, tmp_path: Path, replay: Any) -> None:
     """With the parameters of the old one, which lie in a file beside that of version 0."""
@@ -189,6 +195,7 @@ def test_an_upgraded_bag_gives_the_heights_of_the_old_one(version: int, tmp_path
     assert all(result.verdict == EQUAL for result in compare_bags(BagReader(old), BagReader(new)).values())
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_the_tolerance_of_the_reference_test_notices_a_wrong_range(tmp_path: Path, replay: Any) -> None:
     """A reference range that is off by a tenth of a millimetre moves the heights by more than the tolerance."""
     reader = BagReader(REFERENCE)
@@ -216,6 +223,7 @@ def test_another_processor_gives_heights_within_the_default_tolerance(
         assert verdicts == {"within tolerance"}
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_a_dwell_that_lost_a_frame_is_counted_and_the_others_are_exact(
     recorded: Path, tmp_path: Path, replay: Any
 ) -> None:
@@ -335,6 +343,7 @@ def test_a_failure_is_in_the_report(recorded: Path, tmp_path: Path, monkeypatch:
     assert (report["bag"], report["failed"]) == ("bag", "The disk is gone.")
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_parameters_travel_with_the_file(recorded: Path, tmp_path: Path, replay: Any) -> None:
     """Of the bag nothing is taken but its .mcap file."""
     file = shutil.copy(recorded / "bag" / "bag_0.mcap", tmp_path / "copy.mcap")

@@ -108,6 +108,7 @@ def test_array_of_one_image(azimuth_axis: int, tmp_path: Path, capsys: pytest.Ca
     assert "narrower than a pixel" not in said
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_npz_with_one_complex_array_beside_others(tmp_path: Path) -> None:
     np.savez(tmp_path / "point.npz", image=point_image(PLACES[1]), spacing=np.array([0.05, 0.02]))
     assert main(["irf", str(tmp_path / "point.npz"), "--out", str(tmp_path / "out")]) == 0
@@ -126,6 +127,7 @@ def test_array_of_several_detectors(tmp_path: Path) -> None:
     assert measured(tmp_path / "one") == entries[1:2]
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_bag_gives_positions_and_widths_in_metres(tmp_path: Path) -> None:
     bag = write_bag(tmp_path / "bag")
     assert main(["irf", str(bag), "--out", str(tmp_path / "all")]) == 0
@@ -144,6 +146,7 @@ def test_bag_gives_positions_and_widths_in_metres(tmp_path: Path) -> None:
     assert measured(tmp_path / "one") == [{**entries[5], "image": str(file)}]
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_target_is_chosen_by_a_place_near_it(tmp_path: Path) -> None:
     np.save(tmp_path / "two.npy", point_image((20.0, 20.0)) + 2 * point_image((40.0, 50.0)))
     for words, place in (([], (40, 50)), (["--near", "22,18"], (20, 20))):
@@ -153,6 +156,7 @@ def test_target_is_chosen_by_a_place_near_it(tmp_path: Path) -> None:
         assert (entry["row"], entry["col"]) == pytest.approx(place, abs=0.05)
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_what_an_image_does_not_show_is_null(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     np.save(tmp_path / "tiny.npy", point_image(PLACES[0])[26:31, 38:45])
     assert main(["irf", str(tmp_path / "tiny.npy"), "--out", str(tmp_path / "out")]) == 0
@@ -162,6 +166,7 @@ def test_what_an_image_does_not_show_is_null(tmp_path: Path, capsys: pytest.Capt
     assert capsys.readouterr().out.count(" - ") >= 4
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_coarse_sampling_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     np.save(tmp_path / "coarse.npy", point_image((28.0, 40.0))[::2, ::3])
     assert main(["irf", str(tmp_path / "coarse.npy"), "--out", str(tmp_path / "out")]) == 0
@@ -190,6 +195,7 @@ def test_windows_are_shown(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caps
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_without_out_the_next_free_folder_is_taken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     np.save("point.npy", point_image(PLACES[0]))
@@ -278,6 +284,7 @@ def test_malformed_options_end_with_status_2(words: list[str], capsys: pytest.Ca
     assert words[0] in capsys.readouterr().err
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_a_bag_without_images_is_measured_by_those_of_its_phase_history(tmp_path: Path) -> None:
     assert main(["irf", str(REFERENCE), "--out", str(tmp_path / "out")]) == 0
     entries = json.loads((tmp_path / "out" / "irf.json").read_text())

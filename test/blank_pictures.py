@@ -1,0 +1,35 @@
+"""Pictures of runs that are neither laid out nor drawn, for tests that look at other results."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sal_height.numeric import U8
+
+
+class BlankCanvas:
+    """A canvas on which a figure is neither laid out nor drawn."""
+
+    def __init__(self, figure: Any) -> None:
+        self._size = figure.bbox.bounds[2:]
+
+    def draw(self) -> None:
+        """Draw nothing."""
+
+    def buffer_rgba(self) -> U8:
+        """White pixels."""
+        width, height = self._size
+        return np.full((int(height), int(width), 4), 255, np.uint8)
+
+
+@contextmanager
+def blank_pictures() -> Iterator[None]:
+    """Pictures of runs are white, for tests that look at other results: layout and drawing cost more than the run."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("sal_height.graph.picture.FigureCanvasAgg", BlankCanvas)
+        yield

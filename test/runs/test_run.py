@@ -315,7 +315,7 @@ def test_images_beside_the_scene_are_told_in_a_sentence(two_dwells: Preset, tmp_
 DWELLS = 4
 
 
-def test_strip_images_join_and_their_heights_are_right(tmp_path: Path, replay: Any) -> None:
+def test_strip_images_join_and_their_heights_are_right(tmp_path: Path) -> None:
     preset = load_preset("sal_stripmap")
     preset = dataclasses.replace(
         preset,
@@ -339,8 +339,6 @@ def test_strip_images_join_and_their_heights_are_right(tmp_path: Path, replay: A
     assert errors["valid"] > 0.6
     assert abs(errors["bias_m"]) < 3 * errors["sigma_m"] / np.sqrt(errors["cells"])
     assert errors["rms_m"] < 2 * errors["crb_m"]
-    compared = replay(tmp_path / "run" / "bag", tmp_path / "again", {}).compared
-    assert [result.verdict for result in compared.values()] == ["equal"] * 3
 
 
 AIR = SimulatedAir(temperature_k=300.0, pressure_pa=99_000.0, humidity=0.5, height_m=200.0, map_height_m=150.0)

@@ -12,6 +12,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from helpers import few
 
 from sal_height.bag.reader import BagReader
 from sal_height.engine.dwells import DwellStage
@@ -213,9 +214,7 @@ for sensor_bag.record_sensor in (fail, die):
     assert errors.endswith("\nThe disk is full.\n")
 
 
-@pytest.mark.parametrize(
-    "number", [pytest.param(signal.SIGINT, marks=pytest.mark.thorough), signal.SIGTERM, signal.SIGKILL]
-)
+@pytest.mark.parametrize("number", few(1, [signal.SIGKILL, signal.SIGTERM, signal.SIGINT]))
 def test_a_simulation_ends_with_its_program(number: signal.Signals, tmp_path: Path) -> None:
     """The end of its output says that both have ended: it is open as long as one of them lives."""
     code = """

@@ -58,8 +58,8 @@ def test_replays_are_equal_byte_for_byte(name: str, tmp_path: Path) -> None:
 
 def test_a_reset_in_flight_is_repeated(two_dwells: Preset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Through nodes and by calls; the replay of a replay repeats it, too."""
-    four_dwells = dataclasses.replace(two_dwells, dwells=4)
-    fly(four_dwells, 1, tmp_path / "whole", {})
+    three_dwells = dataclasses.replace(two_dwells, dwells=3)
+    fly(three_dwells, 1, tmp_path / "whole", {})
     announce = Lockstep.announce
 
     def reset_after_two(run: Lockstep) -> None:
@@ -68,7 +68,7 @@ def test_a_reset_in_flight_is_repeated(two_dwells: Preset, tmp_path: Path, monke
             run._stages["relief_tracker"]._reset()
 
     monkeypatch.setattr(Lockstep, "announce", reset_after_two)
-    fly(four_dwells, 1, tmp_path / "flown", {})
+    fly(three_dwells, 1, tmp_path / "flown", {})
     monkeypatch.undo()
     whole, flown = (bytes_of(raw(tmp_path / name / "bag"))["/tracked/height"] for name in ("whole", "flown"))
     assert (flown[:2], flown[2] == whole[2]) == (whole[:2], False)

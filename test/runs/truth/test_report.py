@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers import blocks
+from helpers import blocks, few
 
 from sal_height import messages
 from sal_height.elevation import ESTIMATORS
@@ -105,7 +105,7 @@ def errors_with(position_m: float, name: str, seed: int) -> PublishedErrors:
     return compare(field, truth, flight.sensor.beamwidth).errors
 
 
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", few(1, [1, 2]))
 @pytest.mark.parametrize("name", ["small", "sal_stripmap"])
 def test_odometry_that_errs_moves_heights_up_and_changes_nothing_else(name: str, seed: int) -> None:
     """By 0.1 m: the heights' errors are those with exact odometry and one that all share, to 1 mm, at steps as well.

@@ -133,7 +133,7 @@ def dwells_of(
     return heights_of_dwells(parts, sensor, entry, settings or entry.settings())
 
 
-@lru_cache(maxsize=1)
+@lru_cache(maxsize=8)
 def images_of(scene: str, detectors: int, dwells: int, pitch: float = 1.0) -> DirectImages:
     """Images of several dwells side by side; the pitch of the beams is over the described one."""
     sensor, processing = lidar(dwells * COLS, detectors=detectors), Processing("taylor", ImageSettings().azimuth_window)

@@ -35,7 +35,8 @@ def fresh_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-@pytest.mark.parametrize("page", few(3, ["first_steps", "calibrate", "read_a_report", "replay_and_compare"]))
+@pytest.mark.usefixtures("blank_pictures")
+@pytest.mark.parametrize("page", few(2, ["first_steps", "read_a_report", "calibrate", "replay_and_compare"]))
 def test_a_page_prints_what_it_shows(page: str, capsys: pytest.CaptureFixture[str]) -> None:
     run_page(TUTORIALS / f"{page}.md", capsys)
 
@@ -99,6 +100,7 @@ def test_a_node_of_ones_own_feeds_the_nodes(domain_id: int, fresh_folder: Path) 
         assert abs(height - 0.7) < 3 * sigma < 0.05
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_the_error_budget_adds_up_and_its_sensitivities_are_slopes(capsys: pytest.CaptureFixture[str]) -> None:
     """Slopes of heights by differences, and the shift of the likelihood's peak by a gain that is wrong."""
     names = run_page(DOCS / "error_budget.md", capsys)

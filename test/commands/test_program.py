@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import assert_one_sentence
+from helpers import assert_one_sentence, few
 
 import sal_height.commands
 from sal_height import __version__
@@ -96,7 +96,7 @@ def test_the_module_is_the_program() -> None:
 
 @pytest.mark.parametrize("also_errors", [False, True], ids=["stdout", "stdout and stderr"])
 @pytest.mark.parametrize(
-    "words", [["--help"], ["--version"], ["montecarlo", "pair", "--trials", "10"], ["replay"]], ids=" ".join
+    "words", few(3, [["--help"], ["--version"], ["replay"], ["montecarlo", "pair", "--trials", "10"]]), ids=" ".join
 )
 def test_a_reader_that_closes_the_output_ends_a_command_quietly(words: list[str], also_errors: bool) -> None:
     """As `sal-height ... | head` does; `replay` without a bag complains on stderr and prints nothing."""

@@ -52,7 +52,7 @@ CASES = {
     "sal_spotlight": Case("sal_spotlight"),
     "xband_relief": Case("xband_relief", cols=14, estimators=PAIR_AND_ARRAY),
     "xband_sumdiff": Case("xband_sumdiff", cols=14),
-    "canopy": Case("woods", 6, 40, ("canopy_ground",)),
+    "canopy": Case("woods", 4, 40, ("canopy_ground",)),
     "mixed channels": Case(estimators=("ml", "capon"), adapt=mixed),
     "many mixed channels": Case("sal_spotlight", 184, 12, ("ml",), partial(mixed, imaginary=1.0)),
     "blanked ranges": Case(

@@ -11,7 +11,9 @@ import tempfile
 from pathlib import Path
 
 FORKS = multiprocessing.get_context("forkserver")
-FORKS.set_forkserver_preload(["sal_height.nodes.processing", "sal_height.nodes.recording.recorder"])
+FORKS.set_forkserver_preload(
+    ["sal_height.nodes.processing", "sal_height.nodes.recording.recorder", "sal_height.nodes.live_host"]
+)
 
 RECORDER = "sal_height.nodes.recording.recorder"
 PROCESSING = "sal_height.nodes.processing"

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
+from programs import Program
 from rcl_interfaces.srv import GetParameters
 from rclpy.node import Node
 
@@ -39,7 +40,7 @@ def live_host(*words: str, **environment: str) -> subprocess.Popen[str]:
     ],
 )
 def test_what_cannot_be_run_is_refused_with_one_message(words: list[str], said: str, domain_id: int) -> None:
-    program = live_host(*words, ROS_DOMAIN_ID=str(domain_id))
+    program = Program("sal_height.nodes.live_host", "live_host", *words, domain_id=domain_id)
     _, errors = program.communicate(timeout=TIMEOUT_S)
     assert program.returncode == 2
     assert said in errors

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import fcntl
+import os
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -23,20 +25,40 @@ def two_dwells() -> Preset:
     return dataclasses.replace(load_preset("small"), dwells=2)
 
 
+Once = Callable[[str, Callable[[Path], object]], Path]
+
+
 @pytest.fixture(scope="session")
-def recorded(two_dwells: Preset, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def once(tmp_path_factory: pytest.TempPathFactory) -> Once:
+    """A folder by its name, which the first of all workers makes, and which all of them read."""
+    root = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        root = root.parent
+
+    def made(name: str, make: Callable[[Path], object]) -> Path:
+        parent = root / f"once_{name}"
+        parent.mkdir(exist_ok=True)
+        with (parent / "lock").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)  # until the file is closed
+            if not (parent / "is_made").exists():
+                make(parent / name)
+                (parent / "is_made").touch()
+        return parent / name
+
+    return made
+
+
+@pytest.fixture(scope="session")
+def recorded(two_dwells: Preset, once: Once) -> Path:
     """Output folder of a run of two dwells, without pictures."""
-    out = tmp_path_factory.mktemp("runs") / "recorded"
-    fly(two_dwells, SEED, out, {})
-    return out
+    return once("recorded", lambda out: fly(two_dwells, SEED, out, {}))
 
 
 @pytest.fixture(scope="session")
-def with_images(recorded: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def with_images(recorded: Path, once: Once) -> Path:
     """Bag of a replay of `recorded` through nodes, with the images of all channels: two dwells of 8 channels."""
-    out = tmp_path_factory.mktemp("images") / "out"
-    bag_replay.replay(recorded / "bag", out, {}, Execution(record=["slc"]))
-    return out / "bag"
+    made = once("images", lambda out: bag_replay.replay(recorded / "bag", out, {}, Execution(record=["slc"])))
+    return made / "bag"
 
 
 @pytest.fixture(params=[pytest.param(None, id="nodes", marks=pytest.mark.thorough), pytest.param(1, id="calls")])

@@ -314,19 +314,17 @@ def publisher_of(node: Any, kind: type[Any], topic: str, qos: Any) -> PlainPubli
     return PlainPublisher(node.create_publisher(class_of(kind), topic, qos))
 
 
-def thorough(*cases: Any) -> list[Any]:
-    """Cases of a parametrised test that only `make thorough` runs; tuples hold one value for each parameter."""
-    return [_thorough(case) for case in cases]
+def few(count: int, cases: Iterable[Any]) -> list[Any]:
+    """The cases of a parametrised test, of which `make test` runs the first `count` and `make thorough` all.
+
+    Tuples hold one value for each parameter.
+    """
+    cases = list(cases)
+    assert count < len(cases), "make test runs all"
+    return [*cases[:count], *map(_thorough, cases[count:])]
 
 
 def _thorough(case: Any) -> ParameterSet:
     if isinstance(case, ParameterSet):
         return case._replace(marks=[*case.marks, pytest.mark.thorough])
     return pytest.param(*(case if isinstance(case, tuple) else (case,)), marks=pytest.mark.thorough)
-
-
-def few(count: int, cases: Iterable[Any]) -> list[Any]:
-    """The cases of a parametrised test, of which `make test` runs the first `count` and `make thorough` all."""
-    cases = list(cases)
-    assert count < len(cases), "make test runs all"
-    return [*cases[:count], *thorough(*cases[count:])]

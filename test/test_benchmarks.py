@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers import few
 
 from benchmarks.__main__ import GROUPS
 from benchmarks.row import Row
@@ -45,9 +46,7 @@ def test_a_row_of_any_kind_of_number_can_be_kept(kind: type, target: str, value:
     assert (kept["name"], kept["unit"], kept["target"], kept["reference"]) == ("name", "s", target, "on nothing")
 
 
-@pytest.mark.parametrize(
-    "groups", [["backprojection"], pytest.param(list(GROUPS), marks=pytest.mark.thorough)], ids=["one", "every"]
-)
+@pytest.mark.parametrize("groups", few(1, [["backprojection"], list(GROUPS)]), ids=["one", "every"])
 def test_a_row_of_every_group_can_be_measured(groups: list[str], tmp_path: Path) -> None:
     """At sizes so small that the numbers mean nothing."""
     result = run_benchmarks("--quick", *groups, "--out", str(tmp_path / "bench.json"))

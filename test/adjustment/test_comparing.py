@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers import thorough
+from helpers import few
 
 from sal_height.adjustment import UNKNOWN_GROUND, AdjustmentSettings, ObservedDwell, Stated, adjust
 from sal_height.adjustment.comparing import (
@@ -167,7 +167,7 @@ def test_an_end_that_both_show_is_recognised() -> None:
     assert told(one, other, 0.0) > 3 * SURE
 
 
-@pytest.mark.parametrize("seed", [0, *thorough(1, 2, 3)])
+@pytest.mark.parametrize("seed", few(1, [0, 1, 2, 3]))
 def test_an_end_is_recognised_in_a_longer_image(seed: int) -> None:
     """Which alone would be shifted farther: both are shifted as far."""
     one, other = seen(0.0, 1 + seed, (0.8,)), seen(-0.5, 20 + seed, (0.8,), long=4.0)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from chain_fixture import DETECTORS, START_NS, Chain, next_dwell_is_exact
-from helpers import publisher_of
+from helpers import few, publisher_of
 from instrument_messages import fix_at, imu_at, pose_of, twist_of
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -38,7 +38,7 @@ TIMES = int(os.environ.get("SAL_HEIGHT_HOSTILE", "1"))
 
 TIMEOUT_S = 120.0
 AT_ONCE = 10
-SEEDS = [1, pytest.param(2, marks=pytest.mark.thorough)]
+SEEDS = few(1, [1, 2])
 
 
 @pytest.fixture(scope="session")

@@ -6,7 +6,7 @@ import tracemalloc
 
 import numpy as np
 import pytest
-from helpers import circular, refused, thorough
+from helpers import circular, few, refused
 from numpy.testing import assert_allclose
 
 from sal_height.errors import NotDetermined, UserError
@@ -133,7 +133,7 @@ def test_what_is_much_fainter_does_not_crowd() -> None:
     assert verdicts(with_gap(0.0, 4)) == [Verdict.ACCEPTED]
 
 
-@pytest.mark.parametrize("seed", [0, *thorough(1, 2, 3, 4)])
+@pytest.mark.parametrize("seed", few(1, [0, 1, 2, 3, 4]))
 def test_speckle_does_not_make_a_faint_target_complicated(seed: int) -> None:
     assert verdicts(tape(TapeTarget(120, 130, 24.0), seed=seed)) == [Verdict.ACCEPTED]
 

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from helpers import few
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 
@@ -201,7 +202,7 @@ def live(domain: int, *words: object) -> Iterator[subprocess.Popen[str]]:
             process.kill()
 
 
-@pytest.fixture(scope="module", params=["host", pytest.param("separate", marks=pytest.mark.thorough)])
+@pytest.fixture(scope="module", params=few(1, ["host", "separate"]))
 def program(
     request: pytest.FixtureRequest, recorded: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> Iterator[Program]:

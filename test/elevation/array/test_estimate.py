@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from helpers import BEAMWIDTH, circular, elevation_at, make_beams, multilook, target_slc, thorough
+from helpers import BEAMWIDTH, circular, elevation_at, few, make_beams, multilook, target_slc
 from scipy import stats
 
 from sal_height.elevation.array.estimate import (
@@ -20,7 +20,7 @@ from sal_height.elevation.looks.looks import Looks
 from sal_height.elevation.monopulse.sum_difference import SumDifferenceSettings, sum_difference_elevation
 
 CASES = pytest.mark.parametrize(
-    ("channels", "looks", "trials"), [(2, 1, 400_000), *thorough((3, 2, 300_000)), (16, 4, 60_000)]
+    ("channels", "looks", "trials"), few(2, [(2, 1, 400_000), (16, 4, 60_000), (3, 2, 300_000)])
 )
 
 
@@ -47,7 +47,7 @@ def test_single_scatterers_are_rejected_at_the_stated_rate(channels: int, looks:
     assert_rate(result.validity[usable] == Validity.NOT_ONE_SCATTERER, HeightSettings().false_alarm_rate)
 
 
-@pytest.mark.parametrize("looks", [*thorough(2), 16])
+@pytest.mark.parametrize("looks", few(1, [16, 2]))
 def test_sum_and_difference_reject_at_the_stated_rate(looks: int) -> None:
     """30 and 20 of the pixels are expected."""
     trials = 300_000 if looks == 2 else 200_000
@@ -60,7 +60,7 @@ def test_sum_and_difference_reject_at_the_stated_rate(looks: int) -> None:
     assert_rate(result.validity[usable] == Validity.NOT_ONE_SCATTERER, HeightSettings().false_alarm_rate)
 
 
-@pytest.mark.parametrize("looks", [*thorough(1), 4])
+@pytest.mark.parametrize("looks", few(1, [4, 1]))
 def test_pixels_of_noise_pass_for_a_scatterer_no_more_often_than_stated(looks: int) -> None:
     """Without a least CNR, the limit for M independent directions is passed by others, too, but mostly outside."""
     trials, beams = 200_000, make_beams("sinc", 4)

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers import BEAMWIDTH, circular, elevation_at, make_beams, multilook, offset_of, thorough
+from helpers import BEAMWIDTH, circular, elevation_at, few, make_beams, multilook, offset_of
 
 from sal_height.beams.array import Beams
 from sal_height.elevation.array.estimate import ElevationEstimate, Validity
@@ -49,7 +49,7 @@ def share(result: ElevationEstimate, *validities: Validity) -> float:
 
 
 @PATTERN_NAMES
-@pytest.mark.parametrize(("cnr_db", "looks"), [(10, 4), *thorough((20, 1), (25, 16))])
+@pytest.mark.parametrize(("cnr_db", "looks"), few(1, [(10, 4), (20, 1), (25, 16)]))
 def test_one_scatterer_is_taken_for_more_as_rarely_as_stated(pattern: str, cnr_db: int, looks: int) -> None:
     """Of 8000 pixels a standard error of 0.03 % for pairs, of 0.11 % for extended surfaces; 3.5 of them are allowed.
 
@@ -68,7 +68,7 @@ def test_one_scatterer_is_taken_for_more_as_rarely_as_stated(pattern: str, cnr_d
 
 @pytest.mark.parametrize(
     ("cnr_db", "looks", "separation", "least"),
-    [(10, 4, 1.0, 0.88), *thorough((15, 4, 1.0, 0.97), (5, 16, 1.0, 0.92), (20, 4, 2.0, 0.98)), (20, 16, 0.7, 0.98)],
+    few(2, [(10, 4, 1.0, 0.88), (20, 16, 0.7, 0.98), (15, 4, 1.0, 0.97), (5, 16, 1.0, 0.92), (20, 4, 2.0, 0.98)]),
 )
 def test_two_scatterers_are_found_and_each_is_within_its_sigma(
     cnr_db: int, looks: int, separation: float, least: float
@@ -86,7 +86,7 @@ def test_two_scatterers_are_found_and_each_is_within_its_sigma(
 
 
 @pytest.mark.parametrize(
-    ("cnr_db", "looks", "spacing", "least"), [(20, 4, 1.0, 0.96), *thorough((20, 16, 0.75, 0.96)), (20, 4, 0.75, 0.0)]
+    ("cnr_db", "looks", "spacing", "least"), few(2, [(20, 4, 1.0, 0.96), (20, 4, 0.75, 0.0), (20, 16, 0.75, 0.96)])
 )
 def test_three_scatterers_are_found_or_rejected_and_not_taken_for_two(
     cnr_db: int, looks: int, spacing: float, least: float
@@ -106,7 +106,7 @@ def test_three_scatterers_are_found_or_rejected_and_not_taken_for_two(
 
 
 @pytest.mark.parametrize(
-    ("cnr_db", "looks", "width", "least"), [(20, 4, 0.4, 0.8), *thorough((20, 16, 0.4, 0.95), (30, 16, 0.3, 0.97))]
+    ("cnr_db", "looks", "width", "least"), few(1, [(20, 4, 0.4, 0.8), (20, 16, 0.4, 0.95), (30, 16, 0.3, 0.97)])
 )
 def test_extended_surfaces_are_known_by_their_spread(cnr_db: int, looks: int, width: float, least: float) -> None:
     """Uniform over `width` beamwidths, 1500 pixels; doubt about pairs makes sigma rather too great than too small."""
@@ -126,7 +126,7 @@ def test_extended_surfaces_are_known_by_their_spread(cnr_db: int, looks: int, wi
     assert wrong / len(middle) < 6e-3
 
 
-@pytest.mark.parametrize(("cnr_db", "looks"), [(20, 4), *thorough((20, 16), (30, 4))])
+@pytest.mark.parametrize(("cnr_db", "looks"), few(1, [(20, 4), (20, 16), (30, 4)]))
 def test_volumes_have_no_height(cnr_db: int, looks: int) -> None:
     """2.5 beamwidths deep, in the middle of the array, 1000 pixels: a standard error of 0.5 % at most."""
     beams, rng = make_beams("jinc"), np.random.default_rng([68, cnr_db, looks])
@@ -138,7 +138,7 @@ def test_volumes_have_no_height(cnr_db: int, looks: int) -> None:
 
 
 @pytest.mark.parametrize(
-    ("cnr_db", "looks", "spread"), [(20, 4, 0.3), (10, 16, 0.3), *thorough((20, 16, 0.3), (30, 4, 0.4))]
+    ("cnr_db", "looks", "spread"), few(2, [(20, 4, 0.3), (10, 16, 0.3), (20, 16, 0.3), (30, 4, 0.4)])
 )
 def test_steep_surfaces_are_fitted(cnr_db: int, looks: int, spread: float) -> None:
     """1500 pixels of a uniform surface: its middle within its sigma, greater by doubt, and its spread within 10 %."""

@@ -10,13 +10,13 @@ from helpers import (
     BEAMWIDTH,
     circular,
     elevation_at,
+    few,
     make_beams,
     multilook,
     noise_free_looks,
     offset_of,
     standard_error_of_rms,
     target_slc,
-    thorough,
     whitening,
 )
 from scipy import stats
@@ -54,8 +54,8 @@ def powers(kappa: float, cnr: float, looks: int, trials: int, seed: int, steady:
     return products(total, difference)
 
 
-@pytest.mark.parametrize("looks", [1, *thorough(2, 3), 4])
-@pytest.mark.parametrize(("kappa", "cnr_db"), [(0.75, 5), *thorough((-0.5, 0), (0.3, 15))])
+@pytest.mark.parametrize("looks", few(2, [1, 4, 2, 3]))
+@pytest.mark.parametrize(("kappa", "cnr_db"), few(1, [(0.75, 5), (-0.5, 0), (0.3, 15)]))
 def test_ratio_of_a_fluctuating_target_is_student_distributed(looks: int, kappa: float, cnr_db: int) -> None:
     """Around kappa C / (C + 1), however many looks, with sqrt((C + 1 + kappa^2 C) / (2 K)) / (C + 1) T_2K.
 
@@ -68,7 +68,7 @@ def test_ratio_of_a_fluctuating_target_is_student_distributed(looks: int, kappa:
     assert stats.kstest((estimates - middle) / scale, "t", args=(2 * looks,)).pvalue > 0.001
 
 
-@pytest.mark.parametrize("looks", [3, *thorough(4)])
+@pytest.mark.parametrize("looks", few(1, [3, 4]))
 def test_ratio_has_the_bias_and_spread_of_the_closed_form(looks: int) -> None:
     kappa, cnr, trials = 0.5, 10.0, 100_000
     estimates = ratio(powers(kappa, cnr, looks, trials, seed=22), 1.0)
@@ -81,7 +81,7 @@ def test_ratio_has_the_bias_and_spread_of_the_closed_form(looks: int) -> None:
         assert spread == pytest.approx(0.1364, abs=5e-5)
 
 
-@pytest.mark.parametrize(("looks", "mean"), [(1, 0.7183), *thorough((2, 0.6316), (4, 0.5980)), (16, 0.5764)])
+@pytest.mark.parametrize(("looks", "mean"), few(2, [(1, 0.7183), (16, 0.5764), (2, 0.6316), (4, 0.5980)]))
 def test_more_looks_make_the_bias_of_a_steady_target_worse(looks: int, mean: float) -> None:
     """E = kappa K C integral_0^1 t^(K-1) exp(K C (t - 1)) dt, for kappa 0.75 and 5 dB."""
     cnr, trials = 10**0.5, 40_000
@@ -104,7 +104,7 @@ def test_total_least_squares_removes_the_bias() -> None:
     assert np.mean(biased) == pytest.approx(0.5701, abs=3.5 * np.std(biased) / np.sqrt(trials) + 5e-5)
 
 
-@pytest.mark.parametrize("cnr_db", [0, *thorough(5, 10, 20)])
+@pytest.mark.parametrize("cnr_db", few(1, [0, 5, 10, 20]))
 def test_noise_subtraction_removes_the_bias(cnr_db: int) -> None:
     """Of a fluctuating target; with K looks (C + 1) / (C^2 K) of kappa is left, 5e-4 at 0 dB with 4096."""
     kappa, cnr, looks, trials = 0.75, 10 ** (cnr_db / 10), 4096, 300
@@ -185,7 +185,7 @@ def test_only_the_ratio_pulls_the_elevation_to_the_middle_of_the_pair(discrimina
     assert np.median(offsets) == pytest.approx(expected, abs=3.5 * standard_error)  # 0.003; the bias is 0.02
 
 
-@pytest.mark.parametrize(("looks", "cnr"), [(16, 30.0), *thorough((4, 300.0))])
+@pytest.mark.parametrize(("looks", "cnr"), few(1, [(16, 30.0), (4, 300.0)]))
 @pytest.mark.parametrize("offset", [-0.4, 0.2, 0.6])
 @pytest.mark.parametrize("turn", [0.0, 15.0], ids="{:g} deg".format)
 def test_sigma_predicts_the_spread(looks: int, cnr: float, offset: float, turn: float) -> None:

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers import circular
+from helpers import circular, few
 
 from sal_height.geometry.trajectory import Trajectory
 from sal_height.imaging.autofocus.coherence import Coherence, beam_coherence
@@ -76,9 +76,7 @@ def test_a_turned_axis_of_detectors_looks_like_uneven_ground() -> None:
     assert 0.15 < min(stated[np.radians(15)]) < max(stated[np.radians(15)]) < 0.22
 
 
-DRAWS = pytest.mark.parametrize(
-    ("draws", "error"), [pytest.param(60, 0.1, marks=pytest.mark.thorough), (15, 0.2)], ids=["all", "few"]
-)
+DRAWS = pytest.mark.parametrize(("draws", "error"), few(1, [(15, 0.2), (60, 0.1)]), ids=["all", "few"])
 """Numbers of draws, and the standard error of their rms."""
 
 

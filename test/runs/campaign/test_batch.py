@@ -16,7 +16,7 @@ from typing import Any
 
 import pytest
 from distributed import LocalCluster
-from helpers import assert_one_sentence
+from helpers import assert_one_sentence, few
 from PIL import Image
 from pyarrow.parquet import read_table
 
@@ -104,9 +104,7 @@ def runs_on(program: subprocess.Popen[Any]) -> bool:
     return False
 
 
-@pytest.mark.parametrize(
-    ("number", "status"), [(signal.SIGINT, 130), pytest.param(signal.SIGKILL, -9, marks=pytest.mark.thorough)]
-)
+@pytest.mark.parametrize(("number", "status"), few(1, [(signal.SIGINT, 130), (signal.SIGKILL, -9)]))
 def test_a_campaign_goes_on_where_it_was_ended(
     number: signal.Signals, status: int, recorded: Path, tmp_path: Path, cluster: Workers
 ) -> None:

@@ -28,7 +28,7 @@ from sal_height.imaging import ImageSettings, Slc
 from sal_height.numeric import F64, vertex
 from sal_height.pipeline import Compressor, heights
 from sal_height.relief import HeightField, turn_jacobian
-from sal_height.sensor import Sensor
+from sal_height.sensor import PhaseHistory, Sensor
 from sal_height.simulation import SimulatedFlight, flight_of, load_preset
 from sal_height.simulation.preset import MountingSettings, Passes, TargetSettings
 
@@ -46,6 +46,11 @@ def flown() -> SimulatedFlight:
     return flight_of(replace(preset, dwells=2, flight=flight, sensor=replace(preset.sensor, mounting=mounting)), 4)
 
 
+@cache
+def history_of(dwell: int) -> PhaseHistory:
+    return flown().phase_history(dwell)
+
+
 def imaged(dwell: int, error: Error | None, **settings: object) -> tuple[Slc, HeightField, Sensor]:
     flight, ml = flown(), ESTIMATORS["ml"]
     states, sensor = flight.track(dwell).states, flight.sensor
@@ -53,14 +58,14 @@ def imaged(dwell: int, error: Error | None, **settings: object) -> tuple[Slc, He
         states, sensor = error.states(states), error.sensor(sensor)
     image = ImageSettings(air="none", rows=184, cols=12, **{"autofocus": "never", **settings})
     track = Trajectory(states, accuracy=flight.odometry_accuracy)
-    slc = Compressor().add(flight.phase_history(dwell), track, sensor, image)
+    slc = Compressor().add(history_of(dwell), track, sensor, image)
     assert slc
     return slc, heights(slc, sensor, ml, ml.settings(range_looks=2, azimuth_looks=2)), sensor
 
 
 def observed(dwell: int, slc: Slc, field: HeightField) -> ObservedDwell:
     flight = flown()
-    return ObservedDwell.of(field, slc, flight.sensor, flight.track(dwell), flight.phase_history(dwell))
+    return ObservedDwell.of(field, slc, flight.sensor, flight.track(dwell), history_of(dwell))
 
 
 MOVING = [name for name in ERRORS if not name.startswith(("velocity", "attitude", "boresight")) or name.endswith("x")]

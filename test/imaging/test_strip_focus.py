@@ -241,15 +241,22 @@ def test_strips_tell_how_well_they_know_the_middle_of_their_beams() -> None:
     assert placed[2].beams_error == 0.0
 
 
+@cache
+def flight_over(point: PointScatterer) -> tuple[SimulatedFlight, list[PhaseHistory]]:
+    """The flight without errors over a point, and its pulses."""
+    flight = flight_with(Impairments())
+    flight = replace(flight, scene=replace(flight.scene, points=(point,)))
+    return flight, [flight.phase_history(dwell) for dwell in range(flight.dwells)]
+
+
 def peak_of(point: PointScatterer, autofocus: str, stated: Stated) -> float:
     """Power of the brightest pixel of a strip over a point, all channels together, dB."""
-    flight, focuser = flight_with(Impairments()), StripFocuser()
-    flight = replace(flight, scene=replace(flight.scene, points=(point,)))
+    (flight, histories), focuser = flight_over(point), StripFocuser()
     settings = ImageSettings(air="none", rows=46, cols=128, autofocus=autofocus)
     brightest = 0.0
-    for dwell in range(flight.dwells):
+    for dwell, history in enumerate(histories):
         track = Trajectory([stated.said(state) for state in flight.track(dwell).states])
-        slc = focuser.focus_block(flight.phase_history(dwell), track, flight.sensor, settings)
+        slc = focuser.focus_block(history, track, flight.sensor, settings)
         brightest = max(brightest, float(np.max(np.sum(np.abs(slc.images) ** 2, axis=0))) if slc else 0.0)
     return 10 * np.log10(brightest)
 

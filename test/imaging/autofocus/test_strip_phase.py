@@ -79,7 +79,7 @@ ERRORS = {
 }
 
 
-@pytest.mark.parametrize("gust", few(1, [2.0, 0.0]), ids=["calm", "gusts"])
+@pytest.mark.parametrize("gust", few(1, [2.0, 0.0]), ids=["gusts", "calm"])
 @pytest.mark.parametrize("name", ERRORS)
 def test_what_is_left_of_a_phase_error_is_small_whatever_it_was(name: str, gust: float) -> None:
     """Steps from pulse to pulse are left to what is stated, or up to a third of it; and no trend beyond its error.

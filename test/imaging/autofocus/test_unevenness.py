@@ -76,7 +76,7 @@ def test_a_turned_axis_of_detectors_looks_like_uneven_ground() -> None:
     assert 0.15 < min(stated[np.radians(15)]) < max(stated[np.radians(15)]) < 0.22
 
 
-DRAWS = pytest.mark.parametrize(("draws", "error"), few(1, [(15, 0.2), (60, 0.1)]), ids=["all", "few"])
+DRAWS = pytest.mark.parametrize(("draws", "error"), few(1, [(15, 0.2), (60, 0.1)]), ids=["few", "all"])
 """Numbers of draws, and the standard error of their rms."""
 
 

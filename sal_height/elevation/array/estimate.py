@@ -223,6 +223,24 @@ def detection_limit(looks: Looks, directions: int, settings: HeightSettings) -> 
     return noise + sidelobe_limit(looks.leaked, settings.sidelobe_rate)
 
 
+def is_detected(looks: Looks, fit: Fit, settings: HeightSettings) -> Bool:
+    """True where a signal stands out from noise and other pixels' sidelobes, shape (rows, cols).
+
+    Where another pixel of the square around passes the limit of one pixel, there is something to see. In a square of
+    noise this is rare, and a single pixel passes for a scatterer only above the limit for all pixels of the square.
+
+    Args:
+        looks: covariance of the pixels.
+        fit: fit of one scatterer to every pixel.
+        settings: rates of false alarms.
+    """
+    square = 5  # pixels in range and in azimuth
+    strong, detected = (
+        fit.explained >= detection_limit(looks, fit.directions * pixels, settings) for pixels in (square**2, 1)
+    )
+    return strong | (detected & looks.columns.has_another(detected, square))
+
+
 def is_explained(fit: Fit, settings: HeightSettings) -> Bool:
     """True where a model leaves only noise and errors of the beams, or a small fraction of what it explains.
 
@@ -254,7 +272,7 @@ def decide_validity(
         outside: reason elsewhere.
         settings: limits for detection and for a single scatterer.
     """
-    detected = fit.explained >= detection_limit(looks, fit.directions, settings)
+    detected = is_detected(looks, fit, settings)
     validity = np.where(is_explained(fit, settings), np.uint8(Validity.OK), np.uint8(Validity.NOT_ONE_SCATTERER))
     # The first reason that applies is written last.
     validity[~inside] = outside

@@ -22,7 +22,7 @@ class HeightSettings(Settings):
 
     # Noise passes for a scatterer in the strongest of M independent directions. The search has more directions, but
     # most of them are outside the array: of pixels of noise alone, 0.1 to 1.7 times this rate are valid without a least
-    # CNR.
+    # CNR where another pixel nearby is detected, and less elsewhere.
     false_alarm_rate: float = setting(
         1e-4,
         "fraction of single scatterers that are rejected because of noise, and of pixels of noise that pass for one",

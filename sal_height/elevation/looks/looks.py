@@ -152,6 +152,12 @@ class DwellColumns:
         mean: F64 = uniform_filter(by_dwell, size, axes=(1, 3), mode="nearest")
         return mean.reshape(values.shape)
 
+    def has_another(self, there: Bool, size: int) -> Bool:
+        """True where another pixel of the `size` x `size` pixels around each pixel is `there`, shape (rows, cols)."""
+        by_dwell = there.reshape(len(there), self.dwells, self.cols).astype(np.float32)
+        count = size**2 * uniform_filter(by_dwell, size, axes=(0, 2), mode="constant")
+        return np.asarray(count.reshape(there.shape) > there + 0.5)
+
 
 class Covariances(Protocol):
     """The covariance of every pixel, shape (rows, cols, channels, channels): an array, or computed when indexed."""

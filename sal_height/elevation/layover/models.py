@@ -210,6 +210,7 @@ class Models:
         raised: F64,
         uncertainty: float,
         evidence: F64,
+        level_spread: F64,
         along_slopes: tuple[F64, F64],
         part: Index,
     ) -> None:
@@ -218,7 +219,8 @@ class Models:
         self.along_slopes[:, count, part] = along_slopes
         here = count, part, slice(count)
         self.elevation[here], self.cnr[here] = several.elevation, raised[:, None] * several.power
-        self.sigma[here] = np.hypot(several.sigma, several.deviation_by_beams(uncertainty))
+        of_points = np.hypot(several.sigma, several.deviation_by_beams(uncertainty))
+        self.sigma[here] = np.hypot(of_points, several.deviation_by_spread(level_spread))
         self.spread[here], self.explained[count, part], self.evidence[count, part] = 0.0, several.explained, evidence
 
     def add_extended(self, surfaces: ExtendedSurfaces, explained: tuple[F64, F64], raised: F64, part: Index) -> None:
@@ -358,7 +360,8 @@ def _fit_several(
             several = SeveralScatterers.at(these.search, these.covariance, these.looks, start)
             weighed = log_evidence_of_several(several, domain)
             along = several.along_surfaces(level_spread[some], greatest[some])
-            models.add_several(several, raised[some], beams.uncertainty, weighed, along, part[some])
+            uncertainty, level = beams.uncertainty, level_spread[some]
+            models.add_several(several, raised[some], uncertainty, weighed, level, along, part[some])
 
 
 def _fit_extended(

@@ -113,6 +113,23 @@ class SeveralScatterers:
         along = np.minimum(self.along_slopes, greatest[:, None] * level)
         return np.sum(along - free * level, axis=1), np.sum(free * unit, axis=1)
 
+    def deviation_by_spread(self, level_spread: F64) -> F64:
+        """Standard deviation of each elevation from the spread of its surface, rad, (pixels, S).
+
+        The range of a pixel is that of the power of all its scatterers. Where one of them is spread, its elevation at
+        that range may be any of its own; or it is two, of which only the mean was found. Its spread is that beyond what
+        noise and level ground leave along the slope of its response, with one standard deviation.
+
+        Args:
+            level_spread: standard deviation of elevation within a pixel on level ground, (pixels,), rad.
+        """
+        free = self.looks[:, None] - 0.5
+        turning = np.diagonal(self.turning, axis1=1, axis2=2).real
+        unit = np.maximum(self.power * self.array_power, 1e-300) * turning
+        level = 1 + unit * level_spread[:, None] ** 2
+        excess = np.maximum(self.along_slopes - (free + np.sqrt(free)) * level, 0.0)
+        return np.sqrt(excess / (free * unit))
+
     def information(self) -> F64:
         """Fisher information F of the elevations, 1/rad^2, (pixels, S, S)."""
         known = self.fitted - 2 * self.looks[:, None, None] * self.inverse

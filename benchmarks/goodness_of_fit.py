@@ -128,7 +128,7 @@ def dwells_of(
     """Heights of dwells of a scene; the fault's noise is in addition to that of the CNR."""
     images = fault.of(images_of(scene, detectors, dwells, fault.pitch))
     slc, sensor = images.slc(cnr_db), images.sensor
-    parts = [_columns(slc, first) for first in range(0, slc.images.shape[2], COLS)]
+    parts = parts_of(slc)
     entry = ESTIMATORS["ml"]
     return heights_of_dwells(parts, sensor, entry, settings or entry.settings())
 
@@ -145,6 +145,11 @@ def images_of(scene: str, detectors: int, dwells: int, pitch: float = 1.0) -> Di
     rng = np.random.default_rng(SEED)
     images = direct_images(SCENES_TRIED[scene](), stretched, (ROWS, dwells * COLS), processing, rng)
     return replace(images, sensor=sensor)
+
+
+def parts_of(slc: Slc) -> list[Slc]:
+    """Images of the dwells that are side by side in wide ones."""
+    return [_columns(slc, first) for first in range(0, slc.images.shape[2], COLS)]
 
 
 def _columns(slc: Slc, first: int) -> Slc:
@@ -175,7 +180,7 @@ def cost() -> Row:
     """The time of the tests over that of the heights."""
     images = images_of("street", 16, DWELLS)
     entry, sensor, slc = ESTIMATORS["ml"], images.sensor, images.slc(20.0)
-    parts = [_columns(slc, first) for first in range(0, slc.images.shape[2], COLS)]
+    parts = parts_of(slc)
     spent, ratios = [0.0], []
 
     def timed(*arguments: Any) -> DwellFit:

@@ -24,7 +24,15 @@ from sal_height.engine.air import (
     may_have_air,
     needed_air,
 )
-from sal_height.engine.calibrations import CALIBRATION_PORT, CALIBRATIONS_ARRIVED, CALIBRATIONS_KEPT, StatedCalibration
+from sal_height.engine.calibrations import (
+    CALIBRATION_PORT,
+    CALIBRATION_REFUSED,
+    CALIBRATIONS_ADOPTED,
+    CALIBRATIONS_ARRIVED,
+    CalibrationChoice,
+    ChosenCalibrations,
+    StatedCalibration,
+)
 from sal_height.engine.dwells import SENSOR_PORT, SENSORS_KEPT, DwellStage, WholeDwell
 from sal_height.engine.frame_items import Frame, check_frame, history_of, samples_in_line, stacked_samples
 from sal_height.engine.frames import StaticFrames, StaticTransform
@@ -33,14 +41,14 @@ from sal_height.engine.image_items import AIR_LEFT, AIR_REMOVED, Images, Source
 from sal_height.engine.kept import Kept, RecentValues
 from sal_height.engine.provenance import of_compression
 from sal_height.engine.settings import ChannelSettings, FrameSettings, processing_of
-from sal_height.engine.stage import FOREVER_NS, DwellKey, FileInput, Job, Notice, Port, Product, Result
+from sal_height.engine.stage import FOREVER_NS, DwellKey, Event, FileInput, Job, Notice, Port, Product, Result
 from sal_height.engine.track import Arrival, OdometryHistory, OdometrySettings, longest_gap_s
 from sal_height.errors import Rejected, UserError
 from sal_height.geometry import Mounting, PlatformState, Trajectory
 from sal_height.imaging import MEASURED_AIR, UNKNOWN_AIR, VACUUM, ImageSettings, Slc
 from sal_height.numeric import C64
-from sal_height.pipeline import Compressor
-from sal_height.rehearsal import once, rehearsed_slc
+from sal_height.pipeline import TESTED_BY, CalibrationTrial, Compressor
+from sal_height.rehearsal import once, rehearse_heights, rehearsed_slc
 from sal_height.sensor import PhaseHistory, Sensor
 from sal_height.settings import setting
 from sal_height.topics import CALIBRATION, ODOMETRY, PHASE_HISTORY, SENSOR_INFO, SLC, TF_STATIC
@@ -70,7 +78,7 @@ class CompressionSettings(FrameSettings, AirSettings, OdometrySettings, ImageSet
     calibration: str = setting(
         "",
         "path of a calibration file, which is applied to the images and published on topic calibration; 'topic': apply "
-        "the last calibration received on topic calibration; empty: none",
+        "the last calibration received on topic calibration; unless the data contradict it; empty: none",
         read_only=True,
         names_file=True,
     )
@@ -87,19 +95,23 @@ class Supplies(NamedTuple):
 
     Attributes:
         states: odometry from the last sample before the first pulse to the first after the last pulse.
-        calibration: calibration of the sensor's receivers; None: none is applied.
+        choice: calibration of the sensor's receivers that is in use, and one on trial.
         mounting: mounting of the sensor on the platform.
         air: air data received, as values of the parameters that state measured air; None: none are used.
     """
 
     states: list[PlatformState]
-    calibration: Calibration | None
+    choice: CalibrationChoice
     mounting: Mounting
     air: Mapping[str, float] | None = None
 
 
 class Compression(DwellStage):
-    """Forms the images of all channels of a dwell, each with the same filter."""
+    """Forms the images of all channels of a dwell, each with the same filter.
+
+    A calibration is on trial until a dwell has tested it. Dwells are a series then, so that the first one decides for
+    those after it, however many workers there are, and no image is published of a calibration that it contradicts.
+    """
 
     usual_name = "sar_compression"
     about = "Forms the images of all channels of a dwell, each with the same filter."
@@ -115,8 +127,9 @@ class Compression(DwellStage):
         self._last_pulse_ns = 0
         self._awaited_ns = math.inf
         """Earliest stamp of odometry that a dwell waits for, as far as known; infinity: none does."""
-        self._received = Kept[Calibration](CALIBRATIONS_KEPT)
-        """Calibrations that arrived, by config_hash of their sensor."""
+        self._received = ChosenCalibrations()
+        if self._of_file:
+            self._received.receive(self._of_file)
         self._frames = StaticFrames()
         self._air = AirHistory()
         self._awaits_air = False
@@ -125,7 +138,9 @@ class Compression(DwellStage):
         """Dwells from which on calibrations are applied, by their identity; empty once they have arrived."""
         # The heavy side.
         self._strips = RecentValues[Compressor](SENSORS_KEPT, Compressor)
-        """Compressors of the blocks of each sensor in stripmap, by config_hash."""
+        """Compressors of the blocks of each sensor in stripmap, by its config_hash and the calibration."""
+        self._trials = Kept[tuple[int, CalibrationTrial]](SENSORS_KEPT)
+        """Last trial of a calibration, and its number, by config_hash of the sensor."""
         self._spare: list[C64] = []
         """Samples of the last spotlight dwell, whose memory the next one uses: new pages take longer than the copy."""
 
@@ -219,7 +234,7 @@ class Compression(DwellStage):
                 raise
             if gap > settings.odometry_interval_s:
                 self.count("odometry.bridged")
-            return Supplies(states, self._calibration_for(sensor), self._mounting_of(sensor), air)
+            return Supplies(states, self._choice_for(sensor), self._mounting_of(sensor), air)
         self._awaited_ns = min(self._awaited_ns, frame.end_ns + delay_ns)
         found = f"there are {gap:g} s between two" if states else self._describe_odometry(key.stamp_ns)
         raise Rejected(
@@ -243,8 +258,16 @@ class Compression(DwellStage):
         return super().is_hopeless(dwell, missing)
 
     def series_of(self, whole: WholeDwell) -> str | None:
-        """Blocks of a strip follow each other."""
-        return f"{self.name} strip" if whole.sensor.mode == "stripmap" else None
+        """Blocks of a strip follow each other, and so do dwells that test a calibration."""
+        if whole.sensor.mode == "stripmap":
+            return self.own_series
+        return f"{self.name} trial" if whole.supplies.choice.on_trial else None
+
+    def follow(self, job: Job, results: Sequence[Result]) -> None:
+        """Learn whether a calibration was adopted or refused."""
+        super().follow(job, results)
+        if isinstance(job.inputs, WholeDwell):
+            self._received.follow(job.inputs.supplies.choice, results)
 
     @property
     def own_series(self) -> str:
@@ -281,44 +304,65 @@ class Compression(DwellStage):
         yield from ()
 
     def rehearse_for(self, sensor: Sensor, settings: Any) -> None:
-        """Compress made-up dwells."""
+        """Compress made-up dwells, and test a calibration on them."""
         once(
             (sensor.digest, processing_of(settings)),
             lambda: rehearsed_slc(sensor, settings, Compressor(), np.random.default_rng(0)),
         )
+        if settings.calibration:
+            tests = [(TESTED_BY, TESTED_BY.settings())]
+            once(
+                (sensor.digest, TESTED_BY), lambda: rehearse_heights(sensor, settings, tests, np.random.default_rng(0))
+            )
 
     def work_on(self, whole: WholeDwell, job: Job) -> Iterator[Result]:
         """Compress a dwell, or the columns that a block completes of a strip."""
-        compressor, number = self._compressor_of(whole.sensor), whole.key.number
-        images = self._compress(whole, job, compressor)
-        if images is None:
-            if compressor.shortfall:
-                yield Notice("strip incomplete", f"Dwell {number}: {compressor.shortfall}", whole.key)
+        number, prepared, choice = whole.key.number, self._prepared(whole, job.settings), whole.supplies.choice
+
+        def form(calibration: Calibration | None) -> Slc | None:
+            compressor = self._compressor_of(whole.sensor, calibration)
+            return compressor.add(prepared.history, prepared.track, prepared.sensor, prepared.settings, calibration)
+
+        if choice.on_trial:
+            trial = self._trial_of(whole.sensor, choice, choice.on_trial)
+            was_decided = trial.adopted is not None
+            slc, calibration = trial.images(form, whole.sensor), trial.chosen
+            if trial.refusal and not was_decided:
+                yield Notice(CALIBRATION_REFUSED, f"Dwell {number}: {trial.refusal}")
+            elif trial.adopted and not was_decided:
+                yield Event(CALIBRATIONS_ADOPTED)
+        else:
+            slc, calibration = form(choice.in_use), choice.in_use
+        samples = prepared.history.samples
+        if whole.sensor.mode != "stripmap" and samples.flags.owndata:  # a strip keeps its samples
+            self._spare.append(samples)
+        if slc is None:
+            if shortfall := self._compressor_of(whole.sensor, calibration).shortfall:
+                yield Notice("strip incomplete", f"Dwell {number}: {shortfall}", whole.key)
             return
-        slc, product = images
         if slc.focus and not slc.focus.trusted:
             yield Notice("autofocus", f"Dwell {number}: {NOT_TRUSTED}", whole.key)
         yield from (Notice(doubt.name, f"Dwell {number}: {doubt.sentence}", whole.key) for doubt in slc.doubts)
-        yield Product(SLC, product)
+        yield Product(SLC, self._product(whole, job, prepared, slc, calibration))
 
-    def _compressor_of(self, sensor: Sensor) -> Compressor:
+    def _compressor_of(self, sensor: Sensor, calibration: Calibration | None) -> Compressor:
         """Compressor of the blocks of a sensor so far; a new one for a spotlight dwell, which needs none before it."""
         if sensor.mode != "stripmap":
             return Compressor()
-        compressor = self._strips.of(sensor.config_hash)
+        compressor = self._strips.of(f"{sensor.config_hash} {calibration.id if calibration else ''}")
         self._strips.take_surplus()
         return compressor
 
-    def _compress(self, whole: WholeDwell, job: Job, compressor: Compressor) -> tuple[Slc, Images] | None:
-        """The images of all channels of a dwell, or of the columns that a block completes of a strip.
+    def _trial_of(self, sensor: Sensor, choice: CalibrationChoice, on_trial: Calibration) -> CalibrationTrial:
+        """The trial of a calibration, which goes on from dwell to dwell."""
+        number, trial = self._trials.use(sensor.config_hash) or (0, None)
+        if trial is None or number != choice.trial:
+            trial = CalibrationTrial(on_trial, choice.in_use)
+            self._trials.put(sensor.config_hash, (choice.trial, trial))
+        return trial
 
-        Returns:
-            The images as they were formed, and as a product; None: of too few pulses as yet.
-
-        Raises:
-            UserError: the dwell cannot be compressed.
-        """
-        settings: CompressionSettings = job.settings
+    def _prepared(self, whole: WholeDwell, settings: CompressionSettings) -> _Prepared:
+        """A dwell with the mounting of its sensor and the air that apply to it."""
         sensor, supplies = whole.sensor, whole.supplies
         stated: dict[str, Any] = dict(settings)
         if supplies.mounting != sensor.mounting:
@@ -328,23 +372,24 @@ class Compression(DwellStage):
                 "lever_arm": list(supplies.mounting.lever_arm),
                 "rotation": list(supplies.mounting.rotation),
             }
-        history, calibration = self._history_of(whole), supplies.calibration
         track = Trajectory(supplies.states, motion=settings.motion, accuracy=settings.accuracy)
         used = settings
         if supplies.air is not None:
             used = settings.changed(air=MEASURED_AIR, **supplies.air)
             stated[USED_AIR] = supplies.air
-        slc = compressor.add(history, track, sensor, used, calibration)
-        if sensor.mode != "stripmap" and history.samples.flags.owndata:  # a strip keeps its samples
-            self._spare.append(history.samples)
-        if slc is None:
-            return None
+        return _Prepared(self._history_of(whole), track, sensor, used, stated)
+
+    def _product(
+        self, whole: WholeDwell, job: Job, prepared: _Prepared, slc: Slc, calibration: Calibration | None
+    ) -> Images:
+        """The images as a product."""
+        sensor = prepared.sensor
         applied = calibration.id if calibration else sensor.calibration_id
-        provenance = of_compression(self.name, stated, slc, sensor.config_hash, applied)
-        air_delay = {VACUUM: AIR_LEFT, UNKNOWN_AIR: ""}.get(used.air, AIR_REMOVED)
-        source = Source(whole.messages, sensor, supplies.states, calibration, slc, settings)
-        return slc, Images.made_of(
-            whole.key, settings.map_frame, slc, provenance, air_delay=air_delay, order=job.order, source=source
+        provenance = of_compression(self.name, prepared.stated, slc, sensor.config_hash, applied)
+        air_delay = {VACUUM: AIR_LEFT, UNKNOWN_AIR: ""}.get(prepared.settings.air, AIR_REMOVED)
+        source = Source(whole.messages, sensor, whole.supplies.states, calibration, slc, job.settings)
+        return Images.made_of(
+            whole.key, job.settings.map_frame, slc, provenance, air_delay=air_delay, order=job.order, source=source
         )
 
     def _history_of(self, whole: WholeDwell) -> PhaseHistory:
@@ -359,9 +404,11 @@ class Compression(DwellStage):
             frames, stacked_samples(frames, spare if spare is not None and spare.shape == shape else None)
         )
 
-    def _calibration_for(self, sensor: Sensor) -> Calibration | None:
-        """The calibration to apply to a sensor's frames: that of the file, or its own if one has arrived."""
-        return self._of_file or self._received.use(sensor.config_hash)
+    def _choice_for(self, sensor: Sensor) -> CalibrationChoice:
+        """The calibrations of a sensor: that of the file, or its own if one has arrived."""
+        if self._of_file and self._of_file.config_hash != sensor.config_hash:
+            return CalibrationChoice(self._of_file)  # the compression refuses the dwell
+        return self._received.of(sensor)
 
     def _mounting_of(self, sensor: Sensor) -> Mounting:
         """Mounting of the sensor on the platform.
@@ -402,7 +449,7 @@ class Compression(DwellStage):
                 self.schedule(dwell, CALIBRATION, item)
             self._applied_from[name] = ()
         else:
-            self._received.put(item.calibration.config_hash, item.calibration)
+            self._received.receive(item.calibration)
             self.count(CALIBRATIONS_ARRIVED)
 
     def _receive_odometry(self, state: PlatformState) -> None:
@@ -416,6 +463,24 @@ class Compression(DwellStage):
         if state.stamp_ns >= self._awaited_ns or arrival is not Arrival.IN_ORDER:
             self._awaited_ns = math.inf  # dwells that still wait set it again
             self.hand_over_complete()
+
+
+class _Prepared(NamedTuple):
+    """A dwell that is ready for the compression.
+
+    Attributes:
+        history: phase history of all channels.
+        track: track of the platform.
+        sensor: sensor with the mounting that applies.
+        settings: settings of the images, with measured air if some is used.
+        stated: values for the provenance.
+    """
+
+    history: PhaseHistory
+    track: Trajectory
+    sensor: Sensor
+    settings: CompressionSettings
+    stated: dict[str, Any]
 
 
 @lru_cache(maxsize=8)

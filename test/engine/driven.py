@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from sal_height.engine.stage import Decision, Job, Loss, Notice, Product, Rehearsal, Result, Stage
+from sal_height.engine.stage import Decision, DwellKey, Job, Loss, Notice, Product, Rehearsal, Result, Stage
 
 Step = Callable[[Stage], Sequence[Decision] | None]
 """Something that a host does with a stage."""
@@ -27,6 +27,11 @@ def advance(now_s: float, *, busy: bool = False) -> Step:
 def nothing_before(port: str, stamp_ns: int) -> Step:
     """The source announces what will not arrive."""
     return lambda stage: stage.nothing_before(port, stamp_ns)
+
+
+def scheduled_before(dwell: DwellKey, port: str, item: Any) -> Step:
+    """An item that is accepted right before a dwell."""
+    return lambda stage: stage.schedule(dwell, port, item)
 
 
 def finish(stage: Stage) -> Sequence[Decision]:

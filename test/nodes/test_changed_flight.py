@@ -49,7 +49,7 @@ def calibrate(graph: Graph, chain: Chain) -> None:
     """Publish a calibration, and wait until all nodes have it."""
     publisher = next(node for node in graph.nodes if node.get_name() == "calibrator").calibration
     stamp = messages.to_stamp(START_NS)
-    before = len(chain.stages["sar_compression"].stage._received)
+    before = len(chain.stages["sar_compression"].stage._received._kept)
     scaled = calibration_of(chain.flight, id=f"number {before}", width_factor=1.0 + 0.05 * before, width_sigma=0.01)
     publisher.publish(messages.calibration_to_message(scaled, stamp))
     nodes = [chain.stages[name] for name in ("sar_compression", "ml_height", "monopulse")]

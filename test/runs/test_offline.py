@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import made_offline
+import numpy as np
 import pytest
 from helpers import assert_one_sentence
 from rewritten_bag import copied, rewritten
@@ -19,10 +20,12 @@ from same_items import difference
 
 from sal_height.bag.compare import CHANGED, EQUAL, WITHIN, compare_bags
 from sal_height.bag.reader import BagMessage, BagReader
+from sal_height.calibration import Calibration as Measured
+from sal_height.calibration import save_calibration
 from sal_height.engine.stage import Product
 from sal_height.errors import UserError
-from sal_height.messages import serialize
-from sal_height.messages.types import Calibration, Header, TFMessage, TransformStamped, Vector3
+from sal_height.messages import deserialize, sensor_from_message, serialize
+from sal_height.messages.types import Calibration, Header, HeightImage, SensorInfo, TFMessage, TransformStamped, Vector3
 from sal_height.runs.campaign.batch import Case
 from sal_height.runs.chain import side_by_side
 from sal_height.runs.chain.chain_runs import BagRun, plan
@@ -271,6 +274,30 @@ def test_a_calibration_that_cannot_be_used_is_told(recorded: Path, tmp_path: Pat
     row = made_offline.make(bag, tmp_path, 1, sar_compression={"calibration": "topic"})
     assert (row["images"], row["dropped"]) == (6, 0)
     assert_one_sentence(json.loads(row["warnings"])[-1], "width factor")
+
+
+def test_a_calibration_that_the_data_contradict_is_in_no_image_of_any_job(tmp_path: Path) -> None:
+    """By several jobs, too, where the first dwell decides for those that others process."""
+    bag = record_sensor(replace(load_preset("small"), dwells=5), 3, tmp_path / "flight")
+    (described,) = BagReader(bag).messages(["/sensor_info"])
+    sensor = sensor_from_message(deserialize(described.cdr, SensorInfo))
+    gains = 10 ** (3.0 * np.random.default_rng(5).standard_normal(8) / 20)
+    zeros, response = np.zeros(8), np.repeat(gains[:, None], sensor.sample_count, axis=1).astype(complex)
+    save_calibration(tmp_path / "foreign.npz", Measured(sensor.config_hash, response, zeros, zeros, zeros))
+    given = {"sar_compression": {"calibration": str(tmp_path / "foreign.npz")}}
+    made, warned = {}, {}
+    for jobs, parameters in ((1, {}), (2, given), (3, given)):
+        row = made_offline.process_case(Case(bag, tmp_path / f"{jobs}", {}, parameters, ("ml",)), jobs)
+        assert (row["dwells"], row["dropped"]) == (5, 0)
+        reader = BagReader(tmp_path / f"{jobs}" / "bag")
+        made[jobs] = [deserialize(one.cdr, HeightImage) for one in reader.messages(["/ml/height"])]
+        warned[jobs] = json.loads(row["warnings"])
+    for jobs in (2, 3):
+        for one, plain in zip(made[jobs], made[1], strict=True):
+            assert one.surfaces == plain.surfaces
+            assert one.provenance.calibration_id == ""
+        (warning,) = (text for text in warned[jobs] if text not in warned[1])
+        assert_one_sentence(warning, "is refused: with it the gains")
 
 
 def test_a_bag_without_a_frame_that_can_be_read_is_refused(recorded: Path, tmp_path: Path) -> None:

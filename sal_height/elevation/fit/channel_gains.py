@@ -16,8 +16,9 @@ are another elevation, in proportion to the angle from the middle of the array, 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
-from scipy.special import stdtr
+from scipy.special import chdtrc, ndtri, stdtr
 
 from sal_height.doubts import ALL_CHANNELS, FitTest
 from sal_height.elevation.fit._fit_kernels import MAGNIFIED
@@ -64,6 +65,27 @@ def gain_tests(found: FitStatistics, channels: Index) -> list[FitTest]:
         statistic = abs(size - 1) / error
         tests.append(FitTest(CHANNEL_GAIN, channel, statistic, _two_tails(statistic, number), size, error, "1"))
     return tests
+
+
+def common_gain_test(tests: Sequence[FitTest]) -> FitTest:
+    """Test the gains of all channels together, which finds smaller errors than one by one; NaN if few were tested.
+
+    The chi-squared test of the normal deviates that are as improbable as the gains.
+
+    Args:
+        tests: tests of a dwell, those of the channels among them.
+
+    Returns:
+        Test whose size is the rms departure of the gains from 1, ratio.
+    """
+    of_channels = [test for test in tests if test.name == CHANNEL_GAIN]
+    known = [test for test in of_channels if math.isfinite(test.p_value)]
+    if 2 * len(known) <= len(of_channels):
+        return FitTest(CHANNEL_GAIN, unit="1")
+    statistic = sum(float(ndtri(max(test.p_value, 1e-300) / 2)) ** 2 for test in known)
+    size = math.sqrt(sum((test.size - 1) ** 2 for test in known) / len(known))
+    sigma = math.sqrt(sum(test.sigma**2 for test in known) / len(known))
+    return FitTest(CHANNEL_GAIN, ALL_CHANNELS, statistic, float(chdtrc(len(known), statistic)), size, sigma, "1")
 
 
 def stretch_test(found: FitStatistics) -> FitTest:

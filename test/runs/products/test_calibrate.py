@@ -14,7 +14,7 @@ from rosbags.highlevel import AnyReader
 
 from sal_height.bag.compare import EQUAL
 from sal_height.bag.reader import BagReader
-from sal_height.calibration.files import load_calibration
+from sal_height.calibration.files import load_calibration, save_calibration
 from sal_height.commands import main
 from sal_height.errors import UserError
 from sal_height.graph.catalogue import HEIGHTS
@@ -107,12 +107,13 @@ def test_heights_are_better_with_it(
 
 
 def test_a_replay_with_a_calibration_has_it_in_its_bag_which_replays_equal(
-    recorded: Path, calibrated: Path, tmp_path: Path
+    flown: Path, calibrated: Path, tmp_path: Path
 ) -> None:
     """Of two dwells, by calls: whose heights are other than those without it."""
     file = calibrated / CALIBRATION
     applied = {"sar_compression": {"calibration": str(file)}}
-    first = bag_replay.replay(recorded / "bag", tmp_path / "first", applied, estimators=["ml"], jobs=1)
+    two = Part(last=1)
+    first = bag_replay.replay(flown / "bag", tmp_path / "first", applied, estimators=["ml"], jobs=1, part=two)
     assert first.compared["/ml/height"].verdict != EQUAL
     assert BagReader(tmp_path / "first" / "bag").topics["/calibration"].count == 1
     again = bag_replay.replay(tmp_path / "first" / "bag", tmp_path / "again", {}, jobs=1, part=Part(last=0))
@@ -121,6 +122,18 @@ def test_a_replay_with_a_calibration_has_it_in_its_bag_which_replays_equal(
     assert report["parameters"]["sar_compression"]["calibration"] == "topic"
     changes = [{"dwell": 0, "calibration": load_calibration(file).id, "source": "provenance"}]
     assert report["changes_in_flight"] == changes
+
+
+def test_it_is_refused_for_a_sensor_that_is_as_described(recorded: Path, calibrated: Path, tmp_path: Path) -> None:
+    """Whose heights stay equal; its own measured values are those of another instrument here."""
+    found = load_calibration(calibrated / CALIBRATION)
+    sensor = flight_of(load_preset("small"), 3).sensor
+    save_calibration(tmp_path / "other.npz", dataclasses.replace(found, config_hash=sensor.config_hash))
+    applied = {"sar_compression": {"calibration": str(tmp_path / "other.npz")}}
+    made = bag_replay.replay(recorded / "bag", tmp_path / "out", applied, estimators=["ml"], jobs=1)
+    assert made.compared["/ml/height"].verdict == EQUAL
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert report["stages"]["sar_compression"]["ignored"] == {"calibration refused": 1}
 
 
 def test_rosbags_reads_the_calibration_by_the_schema_in_the_bag(calibrated: Path) -> None:

@@ -180,7 +180,7 @@ def _watch_here(bag: Path, rate: float, seconds: float, nodes: Nodes, record: tu
         elapsed_s=watched.elapsed_s,
         left_out=dropped.total(),
         in_parts=sum(dropped[reason] for reason in IN_PARTS),
-        latencies_s=watched.latencies_s,
+        latencies_s={topic: ages.tolist() for topic, ages in watched.latencies_s.items()},
         usage=usage,
         beside_s=sum(threads[-1].get(name, 0.0) - threads[0].get(name, 0.0) for name in beside),
         recorded_bytes=recorded,

@@ -49,6 +49,7 @@ from sal_height.nodes.managed import Topics
 from sal_height.nodes.parameters import parameter_of
 from sal_height.nodes.pooled import PooledJobs
 from sal_height.nodes.transport.endpoints import Inlet, Outlet
+from sal_height.nodes.transport.log import log_warning
 from sal_height.nodes.transport.message_types import has_transforms
 from sal_height.nodes.transport.qos import FRAMES_QOS, INSTRUMENT_QOS, LATCHED_QOS, ODOMETRY_QOS, TF_STATIC_QOS
 from sal_height.nodes.transport.services import Said
@@ -405,7 +406,7 @@ class StageNode(WorkerNode):
             elif isinstance(one, FileProduct):
                 self._write(one)
             elif isinstance(one, Remark):
-                self.get_logger().warning(one.sentence)
+                log_warning(self, one.sentence)
         return published, losses
 
     def _publish(self, product: Product, complete_s: float) -> int:

@@ -34,6 +34,7 @@ from sal_height.nodes.managed import INACTIVE, Managed, Role, Topics
 from sal_height.nodes.parameters import LiveParameters
 from sal_height.nodes.transport.callbacks import Repeated, guarded
 from sal_height.nodes.transport.endpoints import QOS_OVERRIDES, RECENT_S, Inlet, Outlet
+from sal_height.nodes.transport.log import log_warning
 from sal_height.nodes.transport.message_types import class_of
 from sal_height.nodes.transport.qos import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS
 from sal_height.nodes.transport.services import Said, offer_trigger
@@ -81,9 +82,7 @@ class WorkerNode(Role, Managed):
             super().destroy_node()
             raise
         self.tally = Tally()
-        self.last_rejection = ""
-        self.last_drop = ""
-        self.hardware_id = ""
+        self.last_rejection = self.last_drop = self.hardware_id = ""
         self.steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
         self._jobs = JobQueue()
         self._lost_at = self._warned_at = -math.inf
@@ -348,7 +347,7 @@ class WorkerNode(Role, Managed):
         """Log a warning, but at most one in a second: rclpy's own throttle takes a millisecond for each call."""
         if time.monotonic() - self._warned_at >= 1.0:
             self._warned_at = time.monotonic()
-            self.get_logger().warning(sentence)
+            log_warning(self, sentence)
 
     def _publish_loss(self, loss: Loss) -> None:
         name, now_ns = _plain(self.get_fully_qualified_name()), self.get_clock().now().nanoseconds
@@ -364,7 +363,7 @@ class WorkerNode(Role, Managed):
         """Count a dwell that is used although something speaks against it, and log the first of each kind."""
         if what not in self._doubted:
             self._doubted.add(what)
-            self.get_logger().warning(f"{error} (Logged once; diagnostics count such dwells as {what!r}.)")
+            log_warning(self, f"{error} (Logged once; diagnostics count such dwells as {what!r}.)")
         self.count_ignored(what, error)
 
     def count_ignored(self, what: str, error: UserError) -> None:

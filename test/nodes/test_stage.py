@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import os
 import threading
 import time
@@ -9,17 +10,19 @@ from typing import Any
 
 import pytest
 from helpers import make_sensor, publisher_of
+from rclpy.logging import LoggingSeverity
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_srvs.srv import Trigger
 
 from sal_height import messages
-from sal_height.errors import UserError
+from sal_height.errors import Rejected, UserError
 from sal_height.messages.types import DiagnosticArray, DiagnosticStatus, KeyValue, NodeAccount, Odometry, SensorInfo
 from sal_height.nodes import worker
 from sal_height.nodes.accounts.account import DIAGNOSTICS, PROGRESS, Account
 from sal_height.nodes.processing import PROCESSING
 from sal_height.nodes.transport.graph import Graph
+from sal_height.nodes.transport.log import log_warning
 from sal_height.nodes.transport.message_types import subscribe
 from sal_height.nodes.transport.qos import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS
 from sal_height.nodes.worker import ENDING, WorkerNode
@@ -93,6 +96,24 @@ def test_an_error_in_a_service_is_answered_and_does_not_end_the_node(
     assert answers == [(False, "internal error; the log of the node says more"), (True, "done")]
     counted = listening.tally.summary()
     assert counted.get("dropped.internal error" if is_long else "ignored.internal error") == (0 if is_long else 1)
+
+
+def test_a_warning_is_logged_without_a_search_for_the_line_of_the_caller(
+    listening: Listening, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """All modules would be searched for it, for 300 ms."""
+
+    def search(*_: Any) -> None:
+        raise AssertionError("a caller is searched for")
+
+    monkeypatch.setattr(inspect, "getframeinfo", search)
+    listening.tally.receive()
+    listening.reject(1, Rejected("overload", "It was late."))
+    listening.get_logger().set_level(LoggingSeverity.ERROR)
+    log_warning(listening, "This is not logged.")
+    logged = capfd.readouterr().err
+    assert "[WARN]" in logged
+    assert logged.strip().endswith("[listening]: Dropped 1 (overload): It was late.")
 
 
 def test_whoever_waits_for_a_node_that_ends_is_answered(graph: Graph, listening: Listening) -> None:

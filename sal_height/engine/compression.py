@@ -41,8 +41,19 @@ from sal_height.engine.image_items import AIR_LEFT, AIR_REMOVED, Images, Source
 from sal_height.engine.kept import Kept, RecentValues
 from sal_height.engine.provenance import of_compression
 from sal_height.engine.settings import ChannelSettings, FrameSettings, processing_of
-from sal_height.engine.stage import FOREVER_NS, DwellKey, Event, FileInput, Job, Notice, Port, Product, Result
-from sal_height.engine.track import Arrival, OdometryHistory, OdometrySettings, longest_gap_s
+from sal_height.engine.stage import (
+    FOREVER_NS,
+    Decision,
+    DwellKey,
+    Event,
+    FileInput,
+    Job,
+    Notice,
+    Port,
+    Product,
+    Result,
+)
+from sal_height.engine.track import Arrival, OdometryHistory, OdometrySettings, Samples, longest_gap_s
 from sal_height.errors import Rejected, UserError
 from sal_height.geometry import Mounting, PlatformState, Trajectory
 from sal_height.imaging import MEASURED_AIR, UNKNOWN_AIR, VACUUM, ImageSettings, Slc
@@ -257,6 +268,24 @@ class Compression(DwellStage):
             return none_before.get(TF_STATIC, 0) == FOREVER_NS
         return super().is_hopeless(dwell, missing)
 
+    @property
+    def awaits_odometry(self) -> bool:
+        """True if a dwell waits for odometry; else a sample changes nothing until something else arrives."""
+        return self._awaited_ns < math.inf
+
+    def accept_odometry(self, samples: Samples, now_s: float) -> Sequence[Decision]:
+        """Accept odometry samples together, which decides what `accept` would, one by one.
+
+        Args:
+            samples: samples in the order of their arrival, one or more.
+            now_s: time of the host's clock, s.
+        """
+        if not self._odometry.extend(samples):
+            return [decision for state in samples.states() for decision in self.accept(ODOMETRY, state, now_s)]
+        self._now_s = now_s
+        first_ns, last_ns = int(samples.stamps_ns[0]), int(samples.stamps_ns[-1])
+        return self._collected(self._note_odometry, first_ns, last_ns, True)
+
     def series_of(self, whole: WholeDwell) -> str | None:
         """Blocks of a strip follow each other, and so do dwells that test a calibration."""
         if whole.sensor.mode == "stripmap":
@@ -453,14 +482,18 @@ class Compression(DwellStage):
             self.count(CALIBRATIONS_ARRIVED)
 
     def _receive_odometry(self, state: PlatformState) -> None:
-        if state.stamp_ns <= self._last_pulse_ns + self._settings.odometry_delay_ns:
-            self.note_progress()  # what dwells still wait for is on its way
         arrival = self._odometry.add(state)
         if arrival is Arrival.SET_ASIDE:
             self.warn("odometry out of time", UserError(_out_of_time(state, self._odometry)))
         elif arrival is not Arrival.IN_ORDER:
             self.count(f"odometry.{arrival.value}")
-        if state.stamp_ns >= self._awaited_ns or arrival is not Arrival.IN_ORDER:
+        self._note_odometry(state.stamp_ns, state.stamp_ns, arrival is Arrival.IN_ORDER)
+
+    def _note_odometry(self, first_ns: int, last_ns: int, in_order: bool) -> None:
+        """Go on with dwells that wait for the odometry that has arrived, whose stamps are from first to last, ns."""
+        if first_ns <= self._last_pulse_ns + self._settings.odometry_delay_ns:
+            self.note_progress()  # what dwells still wait for is on its way
+        if last_ns >= self._awaited_ns or not in_order:
             self._awaited_ns = math.inf  # dwells that still wait set it again
             self.hand_over_complete()
 

@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from enum import Enum
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
@@ -25,7 +26,7 @@ from sal_height.geometry import (
     known_pose,
     known_velocity,
 )
-from sal_height.numeric import F64
+from sal_height.numeric import F64, I64
 from sal_height.settings import Settings, setting
 
 MOST_STATES = 200_000
@@ -123,6 +124,31 @@ class OdometrySettings(Settings):
         return Trajectory(states, motion=self.motion.with_assumed, accuracy=self.accuracy.with_assumed)
 
 
+class Samples(NamedTuple):
+    """Odometry samples in the order of their arrival, as arrays.
+
+    Attributes:
+        stamps_ns: times, ns since the epoch, shape (n,).
+        numbers: position, orientation and velocity as in `PlatformState`, shape (n, NUMBERS).
+        covariances: covariances of the poses, shape (n, 6, 6).
+        velocity_covariances: covariances of the velocities, shape (n, 3, 3).
+    """
+
+    stamps_ns: I64
+    numbers: F64
+    covariances: F64
+    velocity_covariances: F64
+
+    def states(self) -> list[PlatformState]:
+        """The samples one by one."""
+        return [
+            PlatformState(stamp_ns, numbers[:3], numbers[3:7], numbers[7:], *covariances)
+            for stamp_ns, numbers, *covariances in zip(
+                self.stamps_ns.tolist(), self.numbers, self.covariances, self.velocity_covariances, strict=True
+            )
+        ]
+
+
 class Arrival(Enum):
     """Outcome of an odometry sample."""
 
@@ -173,6 +199,20 @@ class OdometryHistory:
         self._put(len(self), apart)
         self._put(len(self), state)
         return Arrival.RESTARTED
+
+    def extend(self, samples: Samples) -> bool:
+        """Append samples, each of which is in order after the one before; False: one is not, and none is appended."""
+        if not self._stamps:
+            return False
+        steps_ns = np.diff(samples.stamps_ns, prepend=self._stamps[-1])
+        if not (steps_ns.min() > 0 and steps_ns.max() <= self._held_ns):
+            return False
+        self._apart = None
+        self._stamps.frombytes(samples.stamps_ns.tobytes())
+        self._numbers.frombytes(samples.numbers.tobytes())
+        self._extend_covariances(samples.covariances, samples.velocity_covariances)
+        self._forget()
+        return True
 
     def around(self, start_ns: int, end_ns: int) -> list[PlatformState]:
         """The samples from the last before `start_ns` to the first after `end_ns`; none if these are not covered."""
@@ -237,6 +277,17 @@ class OdometryHistory:
         numbers = array("d", (*state.position, *state.orientation, *state.velocity))
         self._numbers[NUMBERS * place : NUMBERS * place] = numbers
         self._covariances.insert(place, covariances)
+
+    def _extend_covariances(self, pose: F64, velocity: F64) -> None:
+        """Append the covariances of samples, shapes (n, 6, 6) and (n, 3, 3); equal ones are one."""
+        rows = [np.ascontiguousarray(each.reshape(len(each), -1)).view(np.int64) for each in (pose, velocity)]
+        changes = np.logical_or(*((row[1:] != row[:-1]).any(axis=1) for row in rows)).tolist()
+        latest = self._covariances[-1]
+        is_new = not all(map(_have_same_bytes, latest, (pose[0], velocity[0])))
+        for place, is_other in enumerate([is_new, *changes]):
+            if is_other:
+                latest = pose[place].copy(), velocity[place].copy()
+            self._covariances.append(latest)
 
     def _drop(self, first: int, end: int) -> None:
         del self._stamps[first:end], self._covariances[first:end], self._numbers[NUMBERS * first : NUMBERS * end]

@@ -145,6 +145,8 @@ class Lockstep:
         """True if all that was published has been received, processed and recorded."""
         if any(node.jobs for node in self._workers):
             return False
+        for stage in self._stages.values():
+            stage.receive_polled()
         if not all(ends.is_received for ends in self._ends.values()):
             return False
         self._recorder.write_received()

@@ -47,15 +47,17 @@ from sal_height.messages.codec import SHIPPED, BrokenMessage
 from sal_height.messages.kinds import kind_of
 from sal_height.nodes.managed import Topics
 from sal_height.nodes.parameters import parameter_of
+from sal_height.nodes.polled import PERIOD_S, PolledOdometry
 from sal_height.nodes.pooled import PooledJobs
 from sal_height.nodes.transport.endpoints import Inlet, Outlet
 from sal_height.nodes.transport.log import log_warning
 from sal_height.nodes.transport.message_types import has_transforms
 from sal_height.nodes.transport.qos import FRAMES_QOS, INSTRUMENT_QOS, LATCHED_QOS, ODOMETRY_QOS, TF_STATIC_QOS
-from sal_height.nodes.transport.services import Said
+from sal_height.nodes.transport.services import ENDING, Said
 from sal_height.nodes.viewing import VIEWERS, view_topics
-from sal_height.nodes.worker import ENDED, ENDING, WorkerNode
+from sal_height.nodes.worker import ENDED, WorkerNode
 from sal_height.stage_files import check_written, read_inputs, write_product
+from sal_height.topics import ODOMETRY
 from sal_height.workers.pool import Pool
 from sal_height.workers.processes import cpu_of_thread
 
@@ -93,9 +95,10 @@ class StageNode(WorkerNode):
         Raises:
             UserError: a parameter has a value that is not allowed, or a file cannot be used.
         """
+        self._odometry: PolledOdometry | None = None
         self._pool, self._work_s = pool, 0.0
         super().__init__(self.stage_class.usual_name, **node_arguments)
-        settings = self.current_parameters()
+        self._settings_known = settings = self.current_parameters()
         try:
             check_written(self.stage_class, settings)
             self.stage = self.stage_class(settings, read_inputs(self.stage_class, settings), self.get_name())
@@ -103,7 +106,6 @@ class StageNode(WorkerNode):
         except UserError:
             super().destroy_node()
             raise
-        self._settings_known = settings
         self._deciding = threading.RLock()  # the context may be shut down in another thread than the executor's
         self._results: dict[int, tuple[Job, Sequence[Result]]] = {}
         self._ended = self._is_finished = False
@@ -166,6 +168,9 @@ class StageNode(WorkerNode):
             if viewer := VIEWERS.get(port.kind):
                 self._viewers[port.name] = viewer(self, port)
         self._inlets_of = {port.name: self._listen_to(port, settings) for port in self.stage_class.inputs(settings)}
+        if isinstance(self.stage, Compression):
+            timer = self.every(PERIOD_S, self.receive_polled)
+            self._odometry = PolledOdometry(self._inlets_of[ODOMETRY], timer, self.stage, settings.frames)
 
     def _listen_to(self, port: Port, settings: Any) -> Any:
         """Subscribe to a port; what cannot be read is counted under the name of its kind."""
@@ -206,10 +211,9 @@ class StageNode(WorkerNode):
         return inlet
 
     def _catch_up(self, inlet: Inlet, read: Callable[[bytes], Sequence[Any]]) -> None:
-        """Leave out the messages of dwells that wait, of which some were lost, and receive the others that wait.
+        """Leave out the messages that wait, as others of their dwells are lost, and receive those of other topics.
 
-        Else each message that is received pushes another one out, and no dwell ever becomes whole; and odometry, which
-        the executor comes to after all frames before it, would be ever later.
+        Else each message that is received pushes another one out, and no dwell ever becomes whole.
         """
         left_out: Counter[DwellKey] = Counter()
         for cdr in inlet.take_waiting():
@@ -222,7 +226,7 @@ class StageNode(WorkerNode):
             if self.takes(count):
                 self.reject(count, OVERFLOWED, dwell)
         for other in self.inlets:
-            if other is not inlet:
+            if other is not inlet and not other.is_polled:
                 other.receive_waiting()
 
     def _count_unread(self, port: Port, error: UserError) -> None:
@@ -244,6 +248,10 @@ class StageNode(WorkerNode):
     def unpublished(self) -> int:
         """Dwells that have been processed and whose products follow once later ones have arrived."""
         return self.stage.unpublished
+
+    def receive_polled(self) -> None:
+        """Receive what has arrived on topics that are looked at when the stage needs them."""
+        self._decide(tuple)
 
     def nothing_before(self, topic: str, stamp_ns: int) -> None:
         """Notify the stage that nothing with an earlier stamp will arrive on a topic (run and replay)."""
@@ -338,7 +346,7 @@ class StageNode(WorkerNode):
         if now is not self._settings_known:
             self._settings_known = now
             self.stage.change(now)
-        decisions = ask()
+        decisions = self._odometry.decisions(ask) if self._odometry else ask()
         self.hardware_id = self.stage.sensor_name
         return decisions
 
@@ -399,8 +407,7 @@ class StageNode(WorkerNode):
                 self._log_trace(one.trace)
                 (self.ignore if one.dwell is None else self.doubt)(one.kind, UserError(one.sentence))
             elif isinstance(one, Event):
-                count = self.tell if one.name == CALIBRATIONS_ARRIVED else self.tally.note
-                count(one.name, one.times)
+                (self.tell if one.name == CALIBRATIONS_ARRIVED else self.tally.note)(one.name, one.times)
                 if one.loss:
                     self._publish_loss(one.loss)
             elif isinstance(one, FileProduct):

@@ -8,7 +8,7 @@ import os
 import threading
 import time
 import traceback
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future
 from contextlib import suppress
 from dataclasses import replace
@@ -20,6 +20,8 @@ from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.qos import QoSProfile
+from rclpy.subscription import Subscription
+from rclpy.timer import Timer
 
 from sal_height.engine.stage import DwellKey, Loss, StageSettings
 from sal_height.errors import Rejected, UserError
@@ -37,19 +39,13 @@ from sal_height.nodes.transport.endpoints import QOS_OVERRIDES, RECENT_S, Inlet,
 from sal_height.nodes.transport.log import log_warning
 from sal_height.nodes.transport.message_types import class_of
 from sal_height.nodes.transport.qos import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS
-from sal_height.nodes.transport.services import Said, offer_trigger
+from sal_height.nodes.transport.services import ENDING, FAILED, Said, offer_trigger
 from sal_height.topics import LOSSES
 
 RESET = {"~/reset": "forget what was gathered of the dwells so far"}
 """The service that every stage offers."""
 
 ENDED = Rejected("ended", "The node is ending; waiting and new messages are left out.")
-
-FAILED: Said = False, "internal error; the log of the node says more"
-"""Answer of a service that has failed for a reason that no caller should cause."""
-
-ENDING: Said = False, "the node is ending"
-"""Answer of a service whose work is no longer begun."""
 
 DIAGNOSTICS_PERIOD_S = 0.5
 
@@ -181,9 +177,9 @@ class WorkerNode(Role, Managed):
         (self._optional if optional else self._inlets).append(inlet)
         return inlet
 
-    def every(self, period_s: float, callback: Callable[[], Any], clock: Clock | None = None) -> None:
+    def every(self, period_s: float, callback: Callable[[], Any], clock: Clock | None = None) -> Timer:
         """Call `callback` again and again, by a clock that never stands still unless another one is given."""
-        self.create_timer(period_s, guarded(callback, self._fail), clock=clock or self.steady_clock)
+        return self.create_timer(period_s, guarded(callback, self._fail), clock=clock or self.steady_clock)
 
     def serve(self, name: str, callback: Callable[[], Said | Future[Said]]) -> None:
         """Offer a service of type Trigger.
@@ -386,6 +382,12 @@ class WorkerNode(Role, Managed):
     def inlets(self) -> Sequence[Inlet]:
         """Its subscriptions."""
         return (*self._inlets, *self._optional)
+
+    @property
+    def subscriptions(self) -> Iterator[Subscription]:
+        """The subscriptions for whose messages an executor waits."""
+        polled = [inlet.subscription for inlet in self.inlets if inlet.is_polled]
+        return (one for one in super().subscriptions if one not in polled)
 
     def usage(self) -> Mapping[str, Any]:
         """Processor time, number and memory of its process, as fields of an account."""

@@ -17,7 +17,7 @@ from sal_height.engine.heights import height_stage
 from sal_height.engine.image_items import Images
 from sal_height.engine.provenance import Same
 from sal_height.engine.stage import DwellKey, Loss, Product, Stage
-from sal_height.engine.track import ACCURACY
+from sal_height.engine.track import ACCURACY, Samples
 from sal_height.geometry import PlatformState
 from sal_height.sensor import PhaseHistory, Sensor
 from sal_height.simulation import SimulatedFlight, flight_of, load_preset
@@ -97,6 +97,16 @@ def frames_in(flight: SimulatedFlight, dwell: int, start_ns: int = START_NS) -> 
 def odometry_items(flight: SimulatedFlight, dwell: int, start_ns: int = START_NS) -> list[Item]:
     """The odometry of a dwell that was not yet in that of the one before."""
     return [(ODOMETRY, at(state, start_ns)) for state in flight.platform_states(dwell)]
+
+
+def samples_of(states: Sequence[PlatformState]) -> Samples:
+    """Odometry samples as arrays."""
+    return Samples(
+        np.array([one.stamp_ns for one in states]),
+        np.array([[*one.position, *one.orientation, *one.velocity] for one in states]),
+        np.array([one.covariance for one in states]),
+        np.array([one.velocity_covariance for one in states]),
+    )
 
 
 def frame_items(flight: SimulatedFlight, dwell: int, start_ns: int = START_NS) -> list[Item]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import groupby
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,7 @@ from flown_items import (
     frame_items,
     noise_strip,
     odometry_items,
+    samples_of,
     small_flight,
 )
 from helpers import assert_one_sentence
@@ -99,6 +101,37 @@ def test_images_are_the_same_in_whatever_order_frames_and_odometry_arrive(order:
     assert not difference(flown(), sorted_images(driven))
 
 
+def together(items: Sequence[Item]) -> list[Step]:
+    """Items that arrive, and of the odometry all that nothing else arrives between, together."""
+    steps: list[Step] = []
+    for port, group in groupby(items, key=lambda item: item[0]):
+        found = [item for _, item in group]
+        if port == ODOMETRY:
+            steps.append(lambda stage, states=found: stage.accept_odometry(samples_of(states), 0.0))  # type: ignore[misc]
+        else:
+            steps += [accept(port, item) for item in found]
+    return steps
+
+
+@pytest.mark.parametrize("order", ORDERS)
+def test_odometry_that_is_accepted_together_decides_what_it_does_one_by_one(order: str) -> None:
+    one_by_one, stage = compressed(ORDERS[order]()), Compression(Compression.settings(**SMALL))
+    driven = drive(stage, together(ORDERS[order]()))
+    assert not difference(sorted_images(one_by_one), sorted_images(driven))
+    assert driven.decided == one_by_one.decided
+
+
+def test_odometry_is_awaited_from_the_frames_of_a_dwell_until_it_has_arrived() -> None:
+    stage = compressed([*sensor(), *odometry([0])[:1]]).stage
+    assert isinstance(stage, Compression)
+    assert not stage.awaits_odometry
+    for item in frames([0]):
+        stage.accept(*item)
+    assert stage.awaits_odometry
+    stage.accept_odometry(samples_of([state for _, state in odometry([0])[1:]]), 0.0)
+    assert not stage.awaits_odometry
+
+
 def test_frames_that_arrive_twice_are_counted_and_change_nothing() -> None:
     """A frame of a dwell that still waits is a duplicate, one of a dwell that is done is late."""
     items = [*sensor(), *odometry([0]), *(one for item in frames([0]) for one in (item, item))]
@@ -127,13 +160,14 @@ def test_odometry_that_never_arrives_costs_dwells_after_a_wait() -> None:
     assert_one_sentence(driven.losses[0].sentence, "Dwell 0", "no sample was received (is its QoS compatible?)")
 
 
-def test_a_dwell_does_not_time_out_while_its_odometry_is_on_the_way() -> None:
+@pytest.mark.parametrize("is_together", [False, True])
+def test_a_dwell_does_not_time_out_while_its_odometry_is_on_the_way(is_together: bool) -> None:
     driven = compressed([*sensor(), *frames([0])], timeout_s=0.5)
-    for number, (port, state) in enumerate(odometry([0])[:-1]):
+    for number, item in enumerate(odometry([0])[:-1]):
         assert not driven.made
         for tick in range(2):
             driven.do(advance(0.4 * number + 0.2 * tick, busy=False))
-        driven.do(accept(port, state, 0.4 * number + 0.2))
+        driven.play(together([item]) if is_together else [accept(*item, 0.4 * number + 0.2)])
     assert len(driven.made) == 1
 
 

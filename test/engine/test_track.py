@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from flown_items import samples_of
 
 from sal_height.engine import track
 from sal_height.engine.stage import FOREVER_NS
@@ -163,3 +164,48 @@ def test_a_gap_that_samples_have_passed_stays() -> None:
 def test_the_longest_gap_is_that_between_two_samples() -> None:
     assert longest_gap_s([state(0.0), state(0.5), state(0.7)]) == pytest.approx(0.5)
     assert longest_gap_s([]) == longest_gap_s([state(0.0)]) == np.inf
+
+
+def test_samples_that_are_appended_together_are_as_those_added_one_by_one() -> None:
+    rng = np.random.default_rng(3)
+    states = [
+        replace(
+            state(0.1 * number),
+            position=rng.normal(size=3),
+            orientation=rng.normal(size=4),
+            velocity=rng.normal(size=3),
+            covariance=(number // 3) * np.eye(6),
+            velocity_covariance=(number // 4) * np.eye(3),
+        )
+        for number in range(40)
+    ]
+    one_by_one, together = OdometryHistory(100.0), OdometryHistory(100.0)
+    together.add(states[0])
+    for one in states:
+        one_by_one.add(one)
+    for first in (1, 2, 20):
+        assert together.extend(samples_of(states[first : {1: 2, 2: 20, 20: 40}[first]]))
+    assert len(together) == len(one_by_one) == 40
+    span = states[0].stamp_ns, states[-1].stamp_ns
+    for found, expected in zip(together.around(*span), one_by_one.around(*span), strict=True):
+        assert found.stamp_ns == expected.stamp_ns
+        for name in ("position", "orientation", "velocity", "covariance", "velocity_covariance"):
+            assert getattr(found, name).tobytes() == getattr(expected, name).tobytes(), name
+    assert [state.stamp_ns for state in samples_of(states).states()] == [one.stamp_ns for one in states]
+    kept = {id(one.covariance) for one in together.around(*span)}
+    assert len(kept) < 30  # equal ones are one
+
+
+def test_samples_out_of_order_are_not_appended_together() -> None:
+    assert not OdometryHistory(10.0).extend(samples_of([state(0.0)]))  # the first one begins the history
+    for moments in ((0.2, 0.1), (0.3, 0.3), (0.0, 0.1), (0.1, 20.0), (-20.0, -19.0)):
+        history = history_of(0.0, held_s=10.0)
+        assert not history.extend(samples_of([state(one) for one in moments]))
+        assert len(history) == 1
+
+
+def test_samples_that_are_appended_together_do_not_outlast_the_others() -> None:
+    history = history_of(0.0, held_s=1.0)
+    for first in range(1, 1000, 10):
+        assert history.extend(samples_of([state(0.05 * number) for number in range(first, first + 10)]))
+    assert len(history) < 60

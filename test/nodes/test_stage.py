@@ -25,7 +25,8 @@ from sal_height.nodes.transport.graph import Graph
 from sal_height.nodes.transport.log import log_warning
 from sal_height.nodes.transport.message_types import subscribe
 from sal_height.nodes.transport.qos import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS
-from sal_height.nodes.worker import ENDING, WorkerNode
+from sal_height.nodes.transport.services import ENDING
+from sal_height.nodes.worker import WorkerNode
 
 TIMEOUT_S = 120.0
 

@@ -76,6 +76,9 @@ class Counted:
     def write_received(self) -> None:
         """All that was received is written."""
 
+    def receive_polled(self) -> None:
+        """All that has arrived is received."""
+
     def announced(self) -> Mapping[str, int]:
         return {}
 

@@ -7,8 +7,10 @@ import math
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from typing import Any
 
+from rclpy._rclpy_pybind11 import InvalidHandle, RCLError
 from rclpy.event_handler import QoSRequestedIncompatibleQoSInfo, SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.publisher import Publisher
@@ -138,6 +140,10 @@ class Inlet:
         self.overflowed = False
         """True if messages were lost, since this was last set to False, for lack of room for those that wait."""
         self._message_class = class_of(message_type)
+        self.receive = guarded(receive, fail)
+        """Callback for a serialized message."""
+        self.is_polled = False
+        """True if the node takes the messages when it needs them, and the executor does not wait for them."""
 
         def take(cdr: bytes, info: dict[str, Any]) -> None:
             self._note(info)
@@ -192,7 +198,7 @@ class Inlet:
         self.missed = missed
 
     def take_waiting(self) -> Iterator[bytes]:
-        """Messages that wait, which are not received then."""
+        """The messages that wait."""
         for cdr, info in self._waiting():
             self._note(info)
             yield cdr
@@ -205,7 +211,9 @@ class Inlet:
     def _waiting(self) -> Iterator[tuple[bytes, Mapping[str, Any]]]:
         """Messages that wait and the times of their transport, no more than there is room for."""
         for _ in range(self._profile.depth):
-            taken = self.subscription and self.subscription.handle.take_message(self._message_class, True)
+            taken = None
+            with suppress(RCLError, InvalidHandle):  # the node may be ending in another thread
+                taken = self.subscription and self.subscription.handle.take_message(self._message_class, True)
             if not taken:
                 return
             yield taken

@@ -14,6 +14,12 @@ from std_srvs.srv import Trigger
 Said: TypeAlias = tuple[bool, str]
 """The answer of a service of type Trigger: True if it succeeded, and a message."""
 
+FAILED: Said = False, "internal error; the log of the node says more"
+"""Answer of a service that has failed for a reason that no caller should cause."""
+
+ENDING: Said = False, "the node is ending"
+"""Answer of a service whose work is no longer begun."""
+
 
 def offer_trigger(node: Node, name: str, answer: Callable[[], Said | Future[Said]]) -> None:
     """Offer a service of type Trigger.

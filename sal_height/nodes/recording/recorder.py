@@ -17,7 +17,6 @@ from rclpy._rclpy_pybind11 import RCLError
 from rclpy.clock import Clock, JumpThreshold, ROSClock, TimeJump
 from rclpy.clock_type import ClockType
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 
 from sal_height.bag.described import PARAMETER_EVENT_TYPE, PARAMETER_EVENTS
@@ -44,15 +43,18 @@ from sal_height.nodes.parameters import LiveParameters
 from sal_height.nodes.program import run_node
 from sal_height.nodes.recording.parameter_reader import ASK_PERIOD_S, ParameterReader
 from sal_height.nodes.recording.recorder_parameters import RecorderParameters, Selection
+from sal_height.nodes.recording.subscribing import arrived, matching_profile, replaces_messages
 from sal_height.nodes.transport.callbacks import Repeated, guarded, guarded_with_times
 from sal_height.nodes.transport.message_types import message_class
 from sal_height.nodes.transport.qos import from_profile
 
 ACCOUNTS = {DIAGNOSTICS, PROGRESS}  # accounts of these would be recorded in turn, without end
 FAILED = "internal error"  # kind of the errors that no message should cause
-QUEUE_DEPTH = 1000  # messages per topic that may wait in the middleware until the node reads them
 DIAGNOSTICS_PERIOD_S = 0.5
 GIVE_BACK_PERIOD_S = 0.1
+
+TAKE_PERIOD_S = 0.02
+"""Time from one look at what has arrived to the next, s: to wake up for each message takes longer than to write it."""
 
 GATHER_S = 0.02
 """Time in which messages gather, so that the thread that writes wakes once for all of them, s."""
@@ -137,12 +139,19 @@ class Recorder(Role, Node):
         self._worker = threading.Thread(target=self._work, name="recorder", daemon=True)
         self._worker.start()
         self.context.on_shutdown(self.close_bag)
+        self._every(TAKE_PERIOD_S, self._take)
         self._every(0.1, self._discover)
         if self._reader:
             self._every(ASK_PERIOD_S, partial(self._look_for_parameters, self._reader))
         self._accounting = Repeated(DIAGNOSTICS_PERIOD_S, guarded(self._publish_account, self._fail), "account")
         self._giving_back = Repeated(GIVE_BACK_PERIOD_S, guarded(self._bag.give_back, self._fail), "give back")
         self._discover()
+
+    @property
+    def subscriptions(self) -> Iterator[Subscription]:
+        """The subscriptions for which an executor waits: those of topics only if the node has another clock."""
+        looked_at = [] if self._has_other_clock else list(self._subscribed.values())
+        return (one for one in super().subscriptions if one not in looked_at)
 
     @property
     def recorded(self) -> dict[str, int]:
@@ -203,7 +212,7 @@ class Recorder(Role, Node):
             self._clock_changes.unregister()
             self._write_waiting()
             for topic, subscription in self._subscribed.items():
-                for cdr, info in _taken(subscription):
+                for cdr, info in arrived(subscription):
                     self._receive(topic, info)
                     self._write(topic, cdr, self._times(info))
             self._closed = True
@@ -267,8 +276,8 @@ class Recorder(Role, Node):
                 self._bag.add_topic(name, types[0], [from_profile(profile) for profile in offered])
             except OSError as error:
                 self._report(error)
-            profile = _matching(offered)
-            self._topic_counts[name] = TopicCounts(latched=_replaces(offered) and types[0] not in OF_DWELLS)
+            profile = matching_profile(offered)
+            self._topic_counts[name] = TopicCounts(latched=replaces_messages(offered) and types[0] not in OF_DWELLS)
             self._subscribed[name] = subscription = self.create_subscription(
                 message_type, name, guarded_with_times(self._taker_of(name), self._fail), profile, raw=True
             )
@@ -285,6 +294,15 @@ class Recorder(Role, Node):
         """Record the parameters of a node that was asked for them."""
         self._topic_counts[PARAMETER_EVENTS].receive(None, lambda: 0)
         self._put(PARAMETER_EVENTS, cdr, (self._now_ns, self._now_ns))
+
+    def _take(self) -> None:
+        """Receive what has arrived on all topics, in the order of the arrival."""
+        if self._has_other_clock or self._ending.is_set():
+            return
+        taken = [(topic, *each) for topic, one in self._subscribed.items() for each in arrived(one)]
+        for topic, cdr, info in sorted(taken, key=lambda message: int(message[2]["received_timestamp"])):
+            self._receive(topic, info)
+            self._put(topic, cdr, self._times(info))
 
     def _taker_of(self, topic: str) -> Callable[[bytes, dict[str, Any]], None]:
         """A callback that receives the messages of a topic."""
@@ -339,7 +357,8 @@ class Recorder(Role, Node):
                 flush()
 
     def write_received(self) -> None:
-        """Write the messages that have been received; somebody waits for them."""
+        """Write the messages that have arrived; somebody waits for them."""
+        self._take()
         self._write_waiting()
 
     def _write_waiting(self) -> set[str]:
@@ -360,6 +379,8 @@ class Recorder(Role, Node):
         """Note whether the node's clock is another one than that of the times of the middleware."""
         clock = self.get_clock()
         self._has_other_clock = isinstance(clock, ROSClock) and clock.ros_time_is_active
+        if self.executor:
+            self.executor.wake()  # for it waits for other subscriptions now
 
     @property
     def _now_ns(self) -> int:
@@ -439,16 +460,6 @@ class Recorder(Role, Node):
             self.get_logger().error(self._last_loss)
 
 
-def _taken(subscription: Subscription) -> Iterator[tuple[bytes, dict[str, Any]]]:
-    """The messages that have arrived and that the executor has not handed out, with the times of their transport."""
-    for _ in range(QUEUE_DEPTH):
-        with subscription.handle:
-            taken = subscription.handle.take_message(subscription.msg_type, True)
-        if taken is None:
-            return
-        yield taken
-
-
 def _folder(path: str) -> Path:
     """The folder for the bag: a recorder that is started again, by whatever means, leaves the bag before as it is.
 
@@ -466,23 +477,6 @@ def _name_and_text(text: str) -> tuple[str, str]:
     if not separator:
         raise UserError(f"Parameter custom_data has {text!r}; each of its texts must be NAME=TEXT.")
     return name, rest
-
-
-def _matching(offered: list[QoSProfile]) -> QoSProfile:
-    """The strictest profile that receives from all publishers, with a deep queue."""
-    reliable = all(profile.reliability == ReliabilityPolicy.RELIABLE for profile in offered)
-    latched = all(profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for profile in offered)
-    return QoSProfile(
-        history=HistoryPolicy.KEEP_LAST,
-        depth=QUEUE_DEPTH,
-        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
-        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
-    )
-
-
-def _replaces(offered: list[QoSProfile]) -> bool:
-    """True if a message of the publishers may replace the one before; where the middleware states no depth, it is 0."""
-    return all(one.durability == DurabilityPolicy.TRANSIENT_LOCAL and one.depth <= 1 for one in offered)
 
 
 def main() -> int:

@@ -50,7 +50,8 @@ from sal_height.nodes.accounts.account import PROGRESS, Account
 from sal_height.nodes.recording import parameter_reader
 from sal_height.nodes.recording import recorder as module
 from sal_height.nodes.recording.parameter_reader import ParameterReader
-from sal_height.nodes.recording.recorder import Recorder, _replaces
+from sal_height.nodes.recording.recorder import Recorder
+from sal_height.nodes.recording.subscribing import QUEUE_DEPTH, replaces_messages
 from sal_height.nodes.transport.graph import Graph
 from sal_height.nodes.transport.message_types import subscribe
 from sal_height.nodes.transport.qos import LATCHED_QOS
@@ -283,6 +284,33 @@ def test_simulated_time_stamps_the_log(graph: Graph, source: Node, bag: Path) ->
     assert times == [(42 * 10**9, 42 * 10**9)] * 2
 
 
+def test_messages_of_several_topics_are_written_in_the_order_of_their_arrival(
+    graph: Graph, source: Node, bag: Path
+) -> None:
+    topics = [f"/note_{number}" for number in range(3)]
+    publishers = [source.create_publisher(String, topic, 100) for topic in topics]
+    recorder = start(graph, bag, topics=topics)
+    wait_until_matched(graph, *publishers)
+    for number in range(30):  # all have arrived before the recorder looks
+        publishers[number * number % 3].publish(String(data=str(number)))
+    assert all(one.wait_for_all_acked(Duration(seconds=TIMEOUT_S)) for one in publishers)
+    assert graph.spin_until(lambda: sum(recorder.recorded.values()) == 30, TIMEOUT_S)
+    graph.close()
+    with (bag / "run_0.mcap").open("rb") as stream:
+        written = [one.data for _, _, one in make_reader(stream).iter_messages(topics, log_time_order=False)]
+    assert [deserialize_message(cdr, String).data for cdr in written] == [str(number) for number in range(30)]
+
+
+@pytest.mark.parametrize("use_sim_time", [False, True])
+def test_an_executor_waits_for_messages_only_if_their_time_is_that_of_a_callback(
+    graph: Graph, source: Node, bag: Path, use_sim_time: bool
+) -> None:
+    source.create_publisher(String, "/note", 10)
+    recorder = start(graph, bag, use_sim_time=use_sim_time, topics=["/note"])
+    assert graph.spin_until(lambda: "/note" in recorder.recorded, TIMEOUT_S)
+    assert ("/note" in {one.topic_name for one in recorder.subscriptions}) is use_sim_time
+
+
 class SlowDisk(Recorder):
     """A recorder whose disk stands still until `may_write` is set."""
 
@@ -476,14 +504,14 @@ def test_the_bag_says_what_became_of_all_messages(
     graph: Graph, source: Node, bag: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """500 are overwritten in the middleware by later ones, of which two find no memory."""
-    publisher = source.create_publisher(String, "/note", module.QUEUE_DEPTH)
+    publisher = source.create_publisher(String, "/note", QUEUE_DEPTH)
     other = source.create_publisher(String, "/other", 10)
     recorder = start(graph, bag, topics=["/note", "/other"])
     publish(graph, recorder, publisher, [String()])
     publish(graph, recorder, other, [String()])
-    for _ in range(module.QUEUE_DEPTH + 500):
+    for _ in range(QUEUE_DEPTH + 500):
         publisher.publish(String())
-    assert graph.spin_until(lambda: recorder.recorded["/note"] == 1 + module.QUEUE_DEPTH, TIMEOUT_S)
+    assert graph.spin_until(lambda: recorder.recorded["/note"] == 1 + QUEUE_DEPTH, TIMEOUT_S)
     assert "lost on the way" in recorder.failure  # the program ends with status 1
     monkeypatch.setattr(recorder, "_put_bytes", recorder._put_bytes + 10**12)  # much waits
     for _ in range(2):
@@ -805,4 +833,4 @@ def run_main(*arguments: str, domain_id: int) -> Program:
 def test_only_the_last_message_of_a_publisher_that_keeps_one_replaces_others(
     profiles: list[QoSProfile], replaces: bool
 ) -> None:
-    assert _replaces(profiles) is replaces
+    assert replaces_messages(profiles) is replaces

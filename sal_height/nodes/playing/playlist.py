@@ -39,6 +39,11 @@ PERIOD_S = 0.01
 promised."""
 
 
+SHORTEST_WAIT_S = 0.002
+"""Shortest wait for a message: those that are due within it are published together, so that their subscribers wake once
+for all of them."""
+
+
 class PacedClock:
     """The time of a recorded sensor. It stands still until something is waited for; after a delay it catches up."""
 
@@ -60,7 +65,7 @@ class PacedClock:
             self._began = time.monotonic()
         self._limit_ns = max(self._limit_ns, due_ns)
         wait_s = self._began + (due_ns - self._origin_ns) * 1e-9 / self._rate - time.monotonic()
-        return not (self._ending.wait(wait_s) if wait_s > 0 else self._ending.is_set())
+        return not (self._ending.wait(max(wait_s, SHORTEST_WAIT_S)) if wait_s > 0 else self._ending.is_set())
 
     def stand_still(self) -> None:
         """Stop the time at the last one that was waited for."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import threading
+import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -20,7 +22,16 @@ from sal_height.bag.writer import BagWriter
 from sal_height.errors import UserError
 from sal_height.messages import deserialize, serialize
 from sal_height.messages.types import ChannelFrame, Odometry, SensorInfo
-from sal_height.nodes.playing.playlist import FRAMES, ODOMETRY, Playlist, _period, delivered, restamped
+from sal_height.nodes.playing.playlist import (
+    FRAMES,
+    ODOMETRY,
+    SHORTEST_WAIT_S,
+    PacedClock,
+    Playlist,
+    _period,
+    delivered,
+    restamped,
+)
 
 BAG = Path(__file__).parents[3] / "bags" / "version_3"
 
@@ -215,3 +226,29 @@ def test_passes_start_again_after_a_turn(starts_s: list[float], period_s: float)
 def test_a_bag_that_takes_too_much_memory_is_refused() -> None:
     with pytest.raises(UserError, match="holds more than 0 MB of dwells"):
         Playlist.of_bag(BagReader(BAG), 1e5)
+
+
+class Waits(threading.Event):
+    """An event that keeps for how long it was waited for, s."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.waited_s: list[float] = []
+
+    def wait(self, timeout: float | None = None) -> bool:
+        self.waited_s.append(timeout or 0.0)
+        return super().wait(timeout)
+
+
+def test_what_is_due_in_quick_succession_is_waited_for_together_and_never_early() -> None:
+    """To wake up for each message takes longer than to publish it."""
+    clock = PacedClock(1000, rate=2.0, began=(began := time.monotonic()))
+    clock._ending = waits = Waits()
+    for number in range(100):
+        assert clock.wait_until(1000 + 200_000 * number)
+        assert time.monotonic() >= began + 1e-4 * number
+    assert waits.waited_s
+    assert min(waits.waited_s) >= SHORTEST_WAIT_S
+    assert len(waits.waited_s) <= 1e-4 * 100 / SHORTEST_WAIT_S
+    clock.end()
+    assert not clock.wait_until(10**10)

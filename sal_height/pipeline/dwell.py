@@ -47,9 +47,9 @@ from sal_height.numeric import Bool, Index, one_blas_thread
 from sal_height.pipeline.beam_errors import KnownBeams, known_beams
 from sal_height.pipeline.channels import channel_sets, channels_and_beams, live_channels
 from sal_height.pipeline.fit import (
-    GAIN_LEFT,
     DwellFit,
     fit_of,
+    gain_left,
     with_measured_gains,
     with_measured_noise,
     without_silent,
@@ -194,9 +194,10 @@ def _with_measured(
         slc = audible
         (field,) = _heights_of_dwells([slc], sensor, estimator, settings, calibration, known)
     if equal := with_measured_gains(slc, field.fit):
-        slc, known = equal, known._replace(errors=errors._replace(gain=float(np.hypot(errors.gain, GAIN_LEFT))))
+        left = gain_left(field.fit)
+        slc, known = equal, known._replace(errors=errors._replace(gain=float(np.hypot(errors.gain, left))))
         if calibration:  # whose standard errors count instead, under its identity
-            calibration = replace(calibration, gain_sigma=np.hypot(calibration.gain_sigma, GAIN_LEFT))
+            calibration = replace(calibration, gain_sigma=np.hypot(calibration.gain_sigma, left))
         (field,) = _heights_of_dwells([slc], sensor, estimator, settings, calibration, known)
     if measured := with_measured_noise(slc, field.fit):
         (field,) = _heights_of_dwells([measured], sensor, estimator, settings, calibration, known)

@@ -148,12 +148,13 @@ def test_the_doubt_states_what_is_unknown_what_is_assumed_and_what_to_do() -> No
 def test_images_of_a_strip_are_doubted_and_covered() -> None:
     flight = flight_of(replace(load_preset("sal_stripmap"), dwells=4), seed=1)
     settings, found = ImageSettings(rows=16, cols=128), []
+    histories = [flight.phase_history(block) for block in range(4)]
     for accuracy in (UNKNOWN, EXACT):
         compressor = Compressor()
-        for block in range(4):
+        for block, history in enumerate(histories):
             states = [replace(one, covariance=ZEROS) for one in flight.track(block).states]
             track = Trajectory(states, accuracy=accuracy)
-            if slc := compressor.add(flight.phase_history(block), track, flight.sensor, settings):
+            if slc := compressor.add(history, track, flight.sensor, settings):
                 found.append(slc)
     half = len(found) // 2
     assert half

@@ -296,7 +296,7 @@ def test_what_drives_along_the_flight_is_focused(radial: float, along: float) ->
 
 @pytest.mark.parametrize(
     ("radial", "along", "power_db"),
-    few(2, [(-2e-3, 17.88, 30.0), (3.6e-3, 10.0, 20.0), (-7.503, -9.0, 17.0), (0.0, 6.0, 25.0), (4.2, -15.0, 20.0)]),
+    few(1, [(-2e-3, 17.88, 30.0), (3.6e-3, 10.0, 20.0), (-7.503, -9.0, 17.0), (0.0, 6.0, 25.0), (4.2, -15.0, 20.0)]),
 )
 def test_what_drives_fast_along_the_flight_is_found(radial: float, along: float, power_db: float) -> None:
     """Its image is smeared over up to 220 cells, more than an image has, and dimmer than the ground."""

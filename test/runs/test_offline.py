@@ -46,15 +46,15 @@ def test_the_graph_and_jobs_side_by_side_make_the_same_heights(recorded: Path, t
 
 def test_many_dwells_by_several_jobs_are_those_of_one_byte_for_byte(tmp_path: Path) -> None:
     """Heights of three estimators and tracked ones, in their order; workers are there from the second dwell on."""
-    preset = replace(load_preset("small"), dwells=12)
+    preset = replace(load_preset("small"), dwells=8)
     bag = record_sensor(preset, 3, tmp_path / "flight")
     made = {}
     for jobs in (1, 3):
         row = made_offline.process_case(Case(bag, tmp_path / f"{jobs}", {}, {}, ("ml", "monopulse", "capon")), jobs)
-        assert (row["dwells"], row["dropped"]) == (12, 0)
+        assert (row["dwells"], row["dropped"]) == (8, 0)
         reader = BagReader(tmp_path / f"{jobs}" / "bag")
         made[jobs] = {topic: [one.cdr for one in reader.messages([topic])] for topic in reader.topics}
-    assert [len(messages) for messages in made[1].values()] == [12] * 4
+    assert [len(messages) for messages in made[1].values()] == [8] * 4
     assert made[1] == made[3]
 
 

@@ -170,7 +170,7 @@ class StageNode(WorkerNode):
         self._inlets_of = {port.name: self._listen_to(port, settings) for port in self.stage_class.inputs(settings)}
         if isinstance(self.stage, Compression):
             timer = self.every(PERIOD_S, self.receive_polled)
-            self._odometry = PolledOdometry(self._inlets_of[ODOMETRY], timer, self.stage, settings.frames)
+            self._odometry = PolledOdometry(self, self._inlets_of[ODOMETRY], timer, self.stage, settings.frames)
 
     def _listen_to(self, port: Port, settings: Any) -> Any:
         """Subscribe to a port; what cannot be read is counted under the name of its kind."""
@@ -250,7 +250,7 @@ class StageNode(WorkerNode):
         return self.stage.unpublished
 
     def receive_polled(self) -> None:
-        """Receive what has arrived on topics that are looked at when the stage needs them."""
+        """Receive what has arrived and no executor waits for."""
         self._decide(tuple)
 
     def nothing_before(self, topic: str, stamp_ns: int) -> None:

@@ -1,10 +1,11 @@
-"""Odometry that a node takes when its stage needs it: to wake up for each of hundreds of samples takes longest."""
+"""Odometry of many samples, which a node takes when its stage needs them: to wake up for each takes longest."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
 
+from rclpy.node import Node
 from rclpy.timer import Timer
 
 from sal_height.engine.compression import Compression
@@ -19,54 +20,80 @@ FEWEST = 8
 PERIOD_S = 0.002
 """Time from one look to the next while a dwell waits for odometry, s."""
 
+MANY_HZ = 200.0
+"""Rate of messages above which they are looked for, 1/s, and below half of which an executor waits for them again: a
+dwell waits for the next one for a few looks at most."""
+
+MEASURED_S = 0.5
+"""Time in which the rate is measured, s."""
+
 
 class PolledOdometry:
-    """Odometry of a stage: what has arrived is accepted before the stage decides on anything else.
+    """Odometry of a stage. If it is much, what has arrived is accepted before the stage decides on anything else.
 
-    While a dwell waits for odometry, a timer looks for it.
+    While a dwell waits for odometry then, a timer looks for it.
     """
 
-    def __init__(self, inlet: Inlet, timer: Timer, stage: Compression, frames: Frames) -> None:
-        """Take the messages of a subscription, for which the executor does not wait then.
+    def __init__(self, node: Node, inlet: Inlet, timer: Timer, stage: Compression, frames: Frames) -> None:
+        """Take the messages of a subscription whenever they are many; no executor waits for them then.
 
         Args:
+            node: node of the subscription.
             inlet: subscription to the odometry.
             timer: timer whose callback has the stage decide.
             stage: stage that accepts the odometry.
             frames: names and axes of the frames of the odometry.
         """
-        self._inlet, self._timer, self._stage, self._frames = inlet, timer, stage, frames
+        self._node, self._inlet, self._timer, self._stage, self._frames = node, inlet, timer, stage, frames
         self._is_accepting = False
-        inlet.is_polled = True
+        self._since_s, self._received = time.monotonic(), 0
+        self._receive, inlet.receive = inlet.receive, self._receive_first
         timer.cancel()
 
     def decisions(self, ask: Callable[[], Sequence[Decision]]) -> Sequence[Decision]:
         """The decisions of the stage on the odometry that has arrived, and then on what it is asked."""
-        accepted = self._accept()
+        accepted = self._accept() if self._inlet.is_polled else ()
         decided = ask()
+        self._measure_rate()
         self._look_while_awaited()
         return [*accepted, *decided] if accepted else decided
 
     def _accept(self) -> Sequence[Decision]:
         """Have the stage accept what has arrived; a few messages, and those that may be faulty, one by one."""
-        if self._is_accepting:  # one by one; those that have arrived since then follow
+        if self._is_accepting:  # another one, which arrived before
             return ()
         messages = list(self._inlet.take_waiting())
         if len(messages) >= FEWEST and not self._inlet.has_only_strangers:
             samples = samples_of(messages, self._frames)
             if samples is not None:
                 return self._stage.accept_odometry(samples, time.monotonic())
-        self._is_accepting = True
         for cdr in messages:
-            self._inlet.receive(cdr)
-        self._is_accepting = False
+            self._receive_first(cdr)
         return ()
 
+    def _receive_first(self, cdr: bytes) -> None:
+        """Receive a message, before those that have arrived after it."""
+        self._is_accepting = True
+        self._receive(cdr)
+        self._is_accepting = False
+
     def _look_while_awaited(self) -> None:
-        """Have the timer run if a dwell waits for odometry, and stand still if none does."""
-        if self._stage.awaits_odometry != self._timer.is_canceled():
-            return
-        if self._stage.awaits_odometry:
-            self._timer.reset()
-        else:
+        """Have the timer run if a dwell waits for odometry that nobody else waits for, and stand still if not."""
+        if self._inlet.is_polled and self._stage.awaits_odometry:
+            if self._timer.is_canceled():
+                self._timer.reset()
+        elif not self._timer.is_canceled():
             self._timer.cancel()
+
+    def _measure_rate(self) -> None:
+        """Look for messages from now on if they are many, and have the executor wait for them if not."""
+        now_s, received = time.monotonic(), self._inlet.received
+        if now_s - self._since_s < MEASURED_S:
+            return
+        rate_hz = (received - self._received) / (now_s - self._since_s)
+        self._since_s, self._received = now_s, received
+        is_polled = rate_hz > (0.5 * MANY_HZ if self._inlet.is_polled else MANY_HZ)
+        if is_polled is not self._inlet.is_polled:
+            self._inlet.is_polled = is_polled
+            if self._node.executor:
+                self._node.executor.wake()  # for it waits for other subscriptions now

@@ -1,4 +1,4 @@
-"""Odometry among real publishers: no executor waits for it, and dwells have it when they need it, in its order."""
+"""Odometry among real publishers: no executor waits for it if it is much, and dwells have it when they need it."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from rclpy.parameter import Parameter
 from sal_height import messages
 from sal_height.messages import serialize
 from sal_height.messages.types import ChannelFrame, Odometry, SensorInfo
+from sal_height.nodes import polled
 from sal_height.nodes.host import StageNode
 from sal_height.nodes.processing import PROCESSING
 from sal_height.nodes.transport.graph import Graph
@@ -75,17 +76,41 @@ class Flight:
     def summary(self) -> dict[str, float]:
         return self.node.tally.summary()
 
+    @property
+    def is_waited_for(self) -> bool:
+        """Whether an executor waits for odometry, as for all else."""
+        topics = [one.topic_name for one in self.node.subscriptions]
+        assert {"/phase_history", "/sensor_info"} <= set(topics)
+        return "/platform/odometry" in topics
 
-@pytest.fixture
-def flight(graph: Graph) -> Flight:
-    return Flight(graph)
+
+@pytest.fixture(params=[False, True], ids=["waited for", "looked for"])
+def flight(request: pytest.FixtureRequest, graph: Graph, monkeypatch: pytest.MonkeyPatch) -> Flight:
+    """A flight whose odometry is little, or much from the start."""
+    monkeypatch.setattr(polled, "MANY_HZ", -1.0 if request.param else np.inf)
+    found = Flight(graph)
+    found.wait(lambda: found.is_waited_for is not request.param)
+    return found
 
 
-def test_no_executor_waits_for_odometry(flight: Flight) -> None:
-    topics = [one.topic_name for one in flight.node.subscriptions]
-    assert "/phase_history" in topics
-    assert "/sensor_info" in topics
-    assert "/platform/odometry" not in topics
+def test_no_executor_waits_for_odometry_while_it_is_much(graph: Graph, monkeypatch: pytest.MonkeyPatch) -> None:
+    """None arrives twice, nor is any lost, when that changes."""
+    monkeypatch.setattr(polled, "MEASURED_S", 0.01)
+    flight = Flight(graph)
+    (inlet,) = [one for one in flight.node.inlets if one.topic == "/platform/odometry"]
+    cdrs, sent = flight.odometry(20_000), 0
+    for _ in range(3):
+        assert flight.is_waited_for
+        while flight.is_waited_for:
+            flight.publish_odometry(cdrs[sent : sent + 50])
+            sent += 50
+            graph.spin_for(0.01)
+        flight.wait(lambda: flight.is_waited_for)
+        flight.publish_odometry(cdrs[sent : sent + 1])  # which an executor waits for
+        sent += 1
+        flight.wait(lambda sent=sent: inlet.received == sent)
+    assert inlet.missed == 0
+    assert not any(name.startswith(("odometry.", "ignored")) for name in flight.summary())
 
 
 @pytest.mark.parametrize("count", [4, 300])
@@ -93,34 +118,37 @@ def test_no_executor_waits_for_odometry(flight: Flight) -> None:
 def test_a_dwell_is_processed_once_its_odometry_has_arrived(flight: Flight, count: int, frames_first: bool) -> None:
     """Before its frames, when nothing but the next dwell looks for it; or after them, when the dwell waits for it."""
     (inlet,) = [one for one in flight.node.inlets if one.topic == "/platform/odometry"]
-    cdrs = flight.odometry(count)
+    cdrs, receive, handed_over = flight.odometry(count), inlet.receive, list[bytes]()
+    inlet.receive = lambda cdr: handed_over.append(cdr) or receive(cdr)  # called by an executor
     if frames_first:
         flight.publish_frames()
         flight.publish_odometry(cdrs[: count // 2])
         flight.wait(lambda: inlet.received == count // 2 and flight.summary()["in"] == 8)
         assert flight.summary()["waiting"] == 8
-        assert flight.is_looking_often
+        assert flight.is_looking_often is not flight.is_waited_for
         flight.publish_odometry(cdrs[count // 2 :])
     else:
         flight.publish_odometry(cdrs)
         flight.publish_frames()
     flight.wait(lambda: flight.summary()["processed"] == 8)
     flight.wait(lambda: inlet.received == count)
+    assert handed_over == (cdrs if flight.is_waited_for else [])
     assert not flight.is_looking_often
     assert not any(name.startswith(("odometry.", "ignored")) for name in flight.summary())
 
 
 def test_a_sample_that_arrives_while_others_are_received_follows_them(flight: Flight) -> None:
     """A few are received one by one, and each has the stage decide, before which it accepts what has arrived."""
-    (inlet,) = [one for one in flight.node.inlets if one.topic == "/platform/odometry"]
-    cdrs, receive = flight.odometry(4), inlet.receive
+    taken, cdrs = flight.node._odometry, flight.odometry(4)
+    assert taken
+    receive = taken._receive
 
     def receive_later(cdr: bytes) -> None:
-        inlet.receive = receive
+        taken._receive = receive
         flight.publish_odometry(cdrs[3:])
         receive(cdr)
 
-    inlet.receive = receive_later
+    taken._receive = receive_later
     flight.publish_odometry(cdrs[:3])
     flight.publish_frames()
     flight.wait(lambda: flight.summary()["processed"] == 8)

@@ -143,11 +143,11 @@ class Inlet:
         self.receive = guarded(receive, fail)
         """Callback for a serialized message."""
         self.is_polled = False
-        """True if the node takes the messages when it needs them, and the executor does not wait for them."""
+        """True if the node takes the messages when it needs them, and no executor waits for them."""
 
         def take(cdr: bytes, info: dict[str, Any]) -> None:
             self._note(info)
-            receive(cdr)
+            self.receive(cdr)
 
         self._take = guarded(take, fail)
 

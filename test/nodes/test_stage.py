@@ -218,6 +218,22 @@ def told(graph: Graph, monkeypatch: pytest.MonkeyPatch) -> dict[str, list[Accoun
     return accounts
 
 
+def test_progress_is_made_only_while_somebody_subscribes(
+    graph: Graph, listening: Listening, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made: list[Account] = []
+    make = Account.to_progress
+    monkeypatch.setattr(
+        Account, "to_progress", lambda self, node, stamp_ns: made.append(self) or make(self, node, stamp_ns)
+    )
+    listening.tell("something")
+    assert not made
+    follower, followed = graph.add(Node("follower", context=graph.context)), list[NodeAccount]()
+    subscribe(follower, NodeAccount, PROGRESS, followed.append, 100)
+    assert graph.spin_until(lambda: bool(followed), TIMEOUT_S)
+    assert made
+
+
 def test_progress_is_told_at_once_to_whoever_listens(graph: Graph, told: dict[str, list[Account]]) -> None:
     listening = Listening(graph)
     assert graph.spin_until(lambda: all(told.values()), TIMEOUT_S)

@@ -33,11 +33,12 @@ class AccountPublisher:
         return int(self._progress.get_subscription_count())
 
     def publish(self, current: Callable[[], Account]) -> None:
-        """Publish what `current` returns on both topics."""
+        """Publish what `current` returns on both topics, on /progress if somebody follows."""
         with suppress(RCLError):
             account = current()
             publish(self._diagnostics, self.diagnostics(account))
-            publish(self._progress, account.to_progress(self._name, self._now_ns()))
+            if self.followers:
+                publish(self._progress, account.to_progress(self._name, self._now_ns()))
 
     def publish_progress(self, current: Callable[[], Account]) -> None:
         """Publish what `current` returns on /progress, if somebody follows."""

@@ -53,7 +53,7 @@ FAILED = "internal error"  # kind of the errors that no message should cause
 DIAGNOSTICS_PERIOD_S = 0.5
 GIVE_BACK_PERIOD_S = 0.1
 
-TAKE_PERIOD_S = 0.02
+TAKE_PERIOD_S = 0.05
 """Time from one look at what has arrived to the next, s: to wake up for each message takes longer than to write it."""
 
 GATHER_S = 0.02

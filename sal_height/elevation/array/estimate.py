@@ -234,7 +234,7 @@ def is_detected(looks: Looks, fit: Fit, settings: HeightSettings) -> Bool:
         fit: fit of one scatterer to every pixel.
         settings: rates of false alarms.
     """
-    square = 5  # pixels in range and in azimuth
+    square = 7  # pixels in range and in azimuth
     strong, detected = (
         fit.explained >= detection_limit(looks, fit.directions * pixels, settings) for pixels in (square**2, 1)
     )

@@ -117,8 +117,9 @@ class SeveralScatterers:
         """Standard deviation of each elevation from the spread of its surface, rad, (pixels, S).
 
         The range of a pixel is that of the power of all its scatterers. Where one of them is spread, its elevation at
-        that range may be any of its own; or it is two, of which only the mean was found. Its spread is that beyond what
-        noise and level ground leave along the slope of its response, with one standard deviation.
+        that range may be any of its own; or it is two, of which only the mean was found. The ends of an even surface
+        are sqrt(3) of its spreads from its middle: with half the spread they are within 3.5 standard deviations. The
+        spread is that beyond what noise, with one standard deviation, and level ground leave along the slope.
 
         Args:
             level_spread: standard deviation of elevation within a pixel on level ground, (pixels,), rad.
@@ -128,7 +129,7 @@ class SeveralScatterers:
         unit = np.maximum(self.power * self.array_power, 1e-300) * turning
         level = 1 + unit * level_spread[:, None] ** 2
         excess = np.maximum(self.along_slopes - (free + np.sqrt(free)) * level, 0.0)
-        return np.sqrt(excess / (free * unit))
+        return 0.5 * np.sqrt(excess / (free * unit))
 
     def information(self) -> F64:
         """Fisher information F of the elevations, 1/rad^2, (pixels, S, S)."""

@@ -188,7 +188,8 @@ def test_sigma_counts_a_spread_that_only_the_pixels_around_show() -> None:
 def test_sigma_of_two_surfaces_counts_the_spread_of_those_around() -> None:
     """Two surfaces 1.5 beamwidths apart, each spread by 0.05 beamwidths, at 20 dB in 4 looks, 2000 pixels.
 
-    A standard error of 1 %. Without the spread of the others sigma would cover 50 %.
+    A standard error of 1 %. Without any spread sigma would cover 50 %, with that of the others alone 66 %; the own one
+    is for surfaces whose parts have different ranges.
     """
     beams, rng, looks = make_beams("jinc"), np.random.default_rng(75), 4
     middles = around(1.5, 2, 2000, rng)
@@ -197,7 +198,7 @@ def test_sigma_of_two_surfaces_counts_the_spread_of_those_around() -> None:
     result = ml_elevation(points(beams, pieces, (100 / 12,) * 24, looks, rng), beams, MlSettings())
     score = scores(result, middles, Validity.TWO_SCATTERERS)
     assert len(score) > 3000
-    assert np.mean(score < 1) == pytest.approx(0.66, abs=0.04)
+    assert np.mean(score < 1) == pytest.approx(0.72, abs=0.04)
     assert np.mean(score > 5) < 1e-3
 
 

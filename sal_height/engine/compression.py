@@ -298,6 +298,12 @@ class Compression(DwellStage):
         if isinstance(job.inputs, WholeDwell):
             self._received.follow(job.inputs.supplies.choice, results)
 
+    def hand_over_complete(self) -> None:
+        """Make jobs of complete dwells; odometry is no longer awaited for those that were dropped meanwhile."""
+        if not self._is_applying:
+            self._awaited_ns = math.inf  # dwells that still wait set it again
+        super().hand_over_complete()
+
     @property
     def own_series(self) -> str:
         """Series of what changes the strip."""
@@ -494,7 +500,6 @@ class Compression(DwellStage):
         if first_ns <= self._last_pulse_ns + self._settings.odometry_delay_ns:
             self.note_progress()  # what dwells still wait for is on its way
         if last_ns >= self._awaited_ns or not in_order:
-            self._awaited_ns = math.inf  # dwells that still wait set it again
             self.hand_over_complete()
 
 

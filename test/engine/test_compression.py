@@ -132,6 +132,18 @@ def test_odometry_is_awaited_from_the_frames_of_a_dwell_until_it_has_arrived() -
     assert not stage.awaits_odometry
 
 
+def test_odometry_is_not_awaited_for_a_dwell_that_was_dropped() -> None:
+    """Its host would look for it hundreds of times a second, for ever."""
+    driven = compressed([*sensor(), *frames([0])], timeout_s=0.5)
+    driven.play(advance(0.1 * moment) for moment in range(20))
+    assert driven.lost() == {"odometry gap": DETECTORS}
+    assert isinstance(driven.stage, Compression)
+    assert not driven.stage.awaits_odometry
+    driven.deliver(frames([1]))
+    driven.do(advance(2.0))
+    assert driven.stage.awaits_odometry
+
+
 def test_frames_that_arrive_twice_are_counted_and_change_nothing() -> None:
     """A frame of a dwell that still waits is a duplicate, one of a dwell that is done is late."""
     items = [*sensor(), *odometry([0]), *(one for item in frames([0]) for one in (item, item))]

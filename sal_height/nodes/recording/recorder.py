@@ -7,7 +7,7 @@ import threading
 import time
 import traceback
 from collections import Counter, deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -43,7 +43,7 @@ from sal_height.nodes.parameters import LiveParameters
 from sal_height.nodes.program import run_node
 from sal_height.nodes.recording.parameter_reader import ASK_PERIOD_S, ParameterReader
 from sal_height.nodes.recording.recorder_parameters import RecorderParameters, Selection
-from sal_height.nodes.recording.subscribing import arrived, matching_profile, replaces_messages
+from sal_height.nodes.recording.subscribing import Arrived, arrived, matching_profile, replaces_messages
 from sal_height.nodes.transport.callbacks import Repeated, guarded, guarded_with_times
 from sal_height.nodes.transport.message_types import message_class
 from sal_height.nodes.transport.qos import from_profile
@@ -125,6 +125,7 @@ class Recorder(Role, Node):
         self._last_loss = ""
         self._reported = False
         self._closed = False
+        self._receiving = threading.RLock()  # of a thread that receives: the bag is not completed meanwhile
         self._lock = threading.RLock()  # of the bag, which several threads write to
         self._turn = threading.RLock()  # of a thread that writes what waits: the recorder's, or one that needs it
         self._waiting: deque[_Item] = deque()
@@ -203,7 +204,8 @@ class Recorder(Role, Node):
     def close_bag(self) -> None:
         """Write what has arrived so far and complete the bag; later messages are ignored. May be called twice."""
         self._ending.set()
-        self._arrival.set()
+        with self._receiving:  # a thread that receives has handed over all that it has
+            self._arrival.set()
         self._worker.join()
         self._giving_back.end()
         with self._turn, self._lock:  # in the order in which those who write take them
@@ -211,10 +213,9 @@ class Recorder(Role, Node):
                 return
             self._clock_changes.unregister()
             self._write_waiting()
-            for topic, subscription in self._subscribed.items():
-                for cdr, info in arrived(subscription):
-                    self._receive(topic, info)
-                    self._write(topic, cdr, self._times(info))
+            for topic, cdr, info in arrived(self._subscribed):
+                self._receive(topic, info)
+                self._write(topic, cdr, self._times(info))
             self._closed = True
             account = {topic: json.dumps(counts.as_json()) for topic, counts in self._topic_counts.items()}
             try:
@@ -296,23 +297,22 @@ class Recorder(Role, Node):
         self._put(PARAMETER_EVENTS, cdr, (self._now_ns, self._now_ns))
 
     def _take(self) -> None:
-        """Receive what has arrived on all topics, in the order of the arrival."""
-        if self._has_other_clock or self._ending.is_set():
-            return
-        taken = [(topic, *each) for topic, one in self._subscribed.items() for each in arrived(one)]
-        for topic, cdr, info in sorted(taken, key=lambda message: int(message[2]["received_timestamp"])):
-            self._receive(topic, info)
-            self._put(topic, cdr, self._times(info))
+        """Receive what has arrived on all topics."""
+        if not self._has_other_clock:
+            self._receive_all(arrived(self._subscribed))
 
     def _taker_of(self, topic: str) -> Callable[[bytes, dict[str, Any]], None]:
         """A callback that receives the messages of a topic."""
+        return lambda cdr, info: self._receive_all([Arrived(topic, cdr, info)])
 
-        def take(cdr: bytes, info: dict[str, Any]) -> None:
-            if not self._ending.is_set():
+    def _receive_all(self, messages: Iterable[Arrived]) -> None:
+        """Hand messages to the thread that writes."""
+        with self._receiving:
+            if self._ending.is_set():
+                return
+            for topic, cdr, info in messages:
                 self._receive(topic, info)
                 self._put(topic, cdr, self._times(info))
-
-        return take
 
     def _put(self, topic: str, cdr: bytes, times: tuple[int, int]) -> None:
         """Hand a message to the thread that writes, unless too much waits for it."""

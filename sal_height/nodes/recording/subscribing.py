@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from typing import Any
+import heapq
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
 
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
@@ -12,14 +13,35 @@ QUEUE_DEPTH = 1000
 """Messages of a topic that may wait in the middleware until the node takes them."""
 
 
-def arrived(subscription: Subscription) -> Iterator[tuple[bytes, dict[str, Any]]]:
-    """The messages that have arrived and that no executor has handed out, with the times of their transport."""
+class Arrived(NamedTuple):
+    """A message that has arrived, with its number and the times of its transport."""
+
+    topic: str
+    cdr: bytes
+    info: dict[str, Any]
+
+
+def arrived(subscriptions: Mapping[str, Subscription]) -> Iterator[Arrived]:
+    """The messages that have arrived on all topics and that no executor has handed out, in the order of arrival."""
+    yield from in_order_of_arrival([list(_arrived_on(topic, one)) for topic, one in subscriptions.items()])
+
+
+def in_order_of_arrival(topics: Iterable[Iterable[Arrived]]) -> Iterator[Arrived]:
+    """The messages of several topics by the times of their arrival; those of one topic stay in their order.
+
+    One that the network had lost arrives after those that its publisher sent later, and the middleware gives it before
+    them.
+    """
+    return heapq.merge(*topics, key=lambda message: int(message.info["received_timestamp"]))
+
+
+def _arrived_on(topic: str, subscription: Subscription) -> Iterator[Arrived]:
     for _ in range(QUEUE_DEPTH):
         with subscription.handle:
             taken = subscription.handle.take_message(subscription.msg_type, True)
         if taken is None:
             return
-        yield taken
+        yield Arrived(topic, *taken)
 
 
 def matching_profile(offered: Sequence[QoSProfile]) -> QoSProfile:

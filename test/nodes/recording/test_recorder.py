@@ -51,7 +51,7 @@ from sal_height.nodes.recording import parameter_reader
 from sal_height.nodes.recording import recorder as module
 from sal_height.nodes.recording.parameter_reader import ParameterReader
 from sal_height.nodes.recording.recorder import Recorder
-from sal_height.nodes.recording.subscribing import QUEUE_DEPTH, replaces_messages
+from sal_height.nodes.recording.subscribing import QUEUE_DEPTH, Arrived, in_order_of_arrival, replaces_messages
 from sal_height.nodes.transport.graph import Graph
 from sal_height.nodes.transport.message_types import subscribe
 from sal_height.nodes.transport.qos import LATCHED_QOS
@@ -99,6 +99,13 @@ def publish(graph: Graph, recorder: Recorder, publisher: Publisher, messages: li
     for message in messages:
         publisher.publish(message)
     assert graph.spin_until(lambda: recorder.recorded[topic] >= goal, TIMEOUT_S), recorder.recorded
+
+
+def written_texts(bag: Path) -> list[str]:
+    """The texts in a complete bag, in the order in which they were written."""
+    with (bag / "run_0.mcap").open("rb") as stream:
+        written = [one.data for _, _, one in make_reader(stream).iter_messages(log_time_order=False)]
+    return [str(deserialize_message(cdr, String).data) for cdr in written]
 
 
 def test_every_message_is_recorded_byte_for_byte(graph: Graph, source: Node, bag: Path) -> None:
@@ -296,9 +303,71 @@ def test_messages_of_several_topics_are_written_in_the_order_of_their_arrival(
     assert all(one.wait_for_all_acked(Duration(seconds=TIMEOUT_S)) for one in publishers)
     assert graph.spin_until(lambda: sum(recorder.recorded.values()) == 30, TIMEOUT_S)
     graph.close()
-    with (bag / "run_0.mcap").open("rb") as stream:
-        written = [one.data for _, _, one in make_reader(stream).iter_messages(topics, log_time_order=False)]
-    assert [deserialize_message(cdr, String).data for cdr in written] == [str(number) for number in range(30)]
+    assert written_texts(bag) == [str(number) for number in range(30)]
+
+
+def test_the_last_messages_are_written_in_the_order_of_their_arrival(graph: Graph, source: Node, bag: Path) -> None:
+    """They have arrived, and the recorder ends before it looks."""
+    publishers = [source.create_publisher(String, topic, 100) for topic in ("/a", "/b")]
+    recorder = start(graph, bag, topics=["/a", "/b"])
+    wait_until_matched(graph, *publishers)
+    for number in range(10):
+        publishers[number % 2].publish(String(data=str(number)))
+    assert all(one.wait_for_all_acked(Duration(seconds=TIMEOUT_S)) for one in publishers)
+    recorder.close_bag()
+    assert written_texts(bag) == [str(number) for number in range(10)]
+
+
+class Interrupted(Recorder):
+    """A recorder that receives nothing further, after a first message, until `may_go_on` is set."""
+
+    def __init__(self, **arguments: Any) -> None:
+        self.may_go_on, self.at_work = Event(), Event()
+        super().__init__(**arguments)
+
+    def _receive(self, topic: str, info: dict[str, Any]) -> None:
+        super()._receive(topic, info)
+        self.at_work.set()
+        assert self.may_go_on.wait(TIMEOUT_S)
+
+
+def test_a_bag_that_is_closed_while_messages_are_received_has_them_all(graph: Graph, source: Node, bag: Path) -> None:
+    """The context may be shut down in another thread than that which receives."""
+    publisher = source.create_publisher(String, "/note", 100)
+    parameters = [Parameter("topics", value=["/note"]), Parameter("node_parameters", value=False)]
+    recorder = graph.add(Interrupted(directory=bag, context=graph.context, parameter_overrides=parameters))
+    wait_until_matched(graph, publisher)
+    for number in range(10):
+        publisher.publish(String(data=str(number)))
+    assert publisher.wait_for_all_acked(Duration(seconds=TIMEOUT_S))
+
+    def close() -> None:
+        assert recorder.at_work.wait(TIMEOUT_S)
+        ending = threading.Thread(target=recorder.close_bag)
+        ending.start()
+        assert recorder._ending.wait(TIMEOUT_S)
+        ending.join(0.2)  # if it did not wait for the thread that receives, it would end
+        recorder.may_go_on.set()
+        ending.join()
+
+    closing = threading.Thread(target=close)
+    closing.start()
+    assert graph.spin_until(lambda: not closing.is_alive(), TIMEOUT_S)
+    assert written_texts(bag) == [str(number) for number in range(10)]
+
+
+def test_a_message_that_was_sent_again_stays_before_those_that_followed_it() -> None:
+    """Their publisher's numbers, out of order, would count losses."""
+
+    def message(topic: str, number: int, received_ns: int) -> Arrived:
+        return Arrived(topic, b"", {"received_timestamp": received_ns, "publication_sequence_number": number})
+
+    sent_again = [message("/a", 1, 10), message("/a", 2, 40), message("/a", 3, 20)]
+    others = [message("/b", 1, 5), message("/b", 2, 15), message("/b", 3, 50)]
+    merged = list(in_order_of_arrival([sent_again, others]))
+    assert [one for one in merged if one.topic == "/a"] == sent_again
+    assert [one for one in merged if one.topic == "/b"] == others
+    assert merged[:3] == [others[0], sent_again[0], others[1]]
 
 
 @pytest.mark.parametrize("use_sim_time", [False, True])

@@ -36,7 +36,7 @@ from sal_height.nodes.managed import INACTIVE, Managed, Role, Topics
 from sal_height.nodes.parameters import LiveParameters
 from sal_height.nodes.transport.callbacks import Repeated, guarded
 from sal_height.nodes.transport.endpoints import QOS_OVERRIDES, RECENT_S, Inlet, Outlet
-from sal_height.nodes.transport.log import log_warning
+from sal_height.nodes.transport.log import RareWarnings, log_warning
 from sal_height.nodes.transport.message_types import class_of
 from sal_height.nodes.transport.qos import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS
 from sal_height.nodes.transport.services import ENDING, FAILED, Said, offer_trigger
@@ -81,7 +81,8 @@ class WorkerNode(Role, Managed):
         self.last_rejection = self.last_drop = self.hardware_id = ""
         self.steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
         self._jobs = JobQueue()
-        self._lost_at = self._warned_at = -math.inf
+        self._lost_at = -math.inf
+        self._warnings = RareWarnings(self)
         self._doubted = set[str]()  # kinds that the log has
         self._pace = Pace()
         self._measured = 0
@@ -337,13 +338,7 @@ class WorkerNode(Role, Managed):
         self._lost_at = time.monotonic()
         self.tally.drop(messages, error.reason)
         self._publish_loss(Loss(dwell, messages, error.reason, str(error)))
-        self._warn(f"Dropped {messages} ({error.reason}): {error}")
-
-    def _warn(self, sentence: str) -> None:
-        """Log a warning, but at most one in a second: rclpy's own throttle takes a millisecond for each call."""
-        if time.monotonic() - self._warned_at >= 1.0:
-            self._warned_at = time.monotonic()
-            log_warning(self, sentence)
+        self._warnings.log(f"Dropped {messages} ({error.reason}): {error}")
 
     def _publish_loss(self, loss: Loss) -> None:
         name, now_ns = _plain(self.get_fully_qualified_name()), self.get_clock().now().nanoseconds
@@ -353,7 +348,7 @@ class WorkerNode(Role, Managed):
     def ignore(self, what: str, error: UserError) -> None:
         """Count a message of no dwell (sensor info, odometry, ...) that cannot be used, and log why."""
         self.count_ignored(what, error)
-        self._warn(f"Ignored {what}: {error}")
+        self._warnings.log(f"Ignored {what}: {error}")
 
     def doubt(self, what: str, error: UserError) -> None:
         """Count a dwell that is used although something speaks against it, and log the first of each kind."""

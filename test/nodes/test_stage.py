@@ -6,10 +6,12 @@ import inspect
 import os
 import threading
 import time
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 from helpers import make_sensor, publisher_of
+from rcl_interfaces.msg import Log
 from rclpy.logging import LoggingSeverity
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
@@ -21,6 +23,7 @@ from sal_height.messages.types import DiagnosticArray, DiagnosticStatus, KeyValu
 from sal_height.nodes import worker
 from sal_height.nodes.accounts.account import DIAGNOSTICS, PROGRESS, Account
 from sal_height.nodes.processing import PROCESSING
+from sal_height.nodes.transport import log
 from sal_height.nodes.transport.graph import Graph
 from sal_height.nodes.transport.log import log_warning
 from sal_height.nodes.transport.message_types import subscribe
@@ -112,9 +115,27 @@ def test_a_warning_is_logged_without_a_search_for_the_line_of_the_caller(
     listening.reject(1, Rejected("overload", "It was late."))
     listening.get_logger().set_level(LoggingSeverity.ERROR)
     log_warning(listening, "This is not logged.")
+    listening.get_logger().set_level(LoggingSeverity.UNSET)  # for nodes of that name that other tests make
     logged = capfd.readouterr().err
     assert "[WARN]" in logged
     assert logged.strip().endswith("[listening]: Dropped 1 (overload): It was late.")
+
+
+def test_many_warnings_are_logged_and_published_once_in_a_second(
+    graph: Graph, listening: Listening, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    published: list[Log] = []
+    observer = graph.add(Node("observer", context=graph.context))
+    rosout = observer.create_subscription(Log, "/rosout", published.append, QoSProfile(depth=100))
+    assert graph.spin_until(lambda: rosout.get_publisher_count() >= 2, TIMEOUT_S)
+    clock = iter([100.0, 100.0, 100.9, 101.1, 101.1])
+    monkeypatch.setattr(log, "time", SimpleNamespace(monotonic=lambda: next(clock)))
+    for number in range(3):
+        listening.ignore("note", UserError(f"Note {number}, 100 % of it, is not right."))
+    warnings = [f"Ignored note: Note {number}, 100 % of it, is not right." for number in (0, 2)]
+    assert graph.spin_until(lambda: len(published) == 2, TIMEOUT_S)
+    assert [one.msg for one in published] == warnings
+    assert {(one.name, one.level) for one in published} == {("listening", int(LoggingSeverity.WARN))}
 
 
 def test_whoever_waits_for_a_node_that_ends_is_answered(graph: Graph, listening: Listening) -> None:

@@ -45,6 +45,7 @@ from sal_height.nodes.recording.parameter_reader import ASK_PERIOD_S, ParameterR
 from sal_height.nodes.recording.recorder_parameters import RecorderParameters, Selection
 from sal_height.nodes.recording.subscribing import Arrived, arrived, matching_profile, replaces_messages
 from sal_height.nodes.transport.callbacks import Repeated, guarded, guarded_with_times
+from sal_height.nodes.transport.log import RareWarnings
 from sal_height.nodes.transport.message_types import message_class
 from sal_height.nodes.transport.qos import from_profile
 
@@ -123,6 +124,7 @@ class Recorder(Role, Node):
         self._topic_counts: dict[str, TopicCounts] = {}
         self._failures = 0
         self._last_loss = ""
+        self._warnings = RareWarnings(self)
         self._reported = False
         self._closed = False
         self._receiving = threading.RLock()  # of a thread that receives: the bag is not completed meanwhile
@@ -337,7 +339,7 @@ class Recorder(Role, Node):
             f"The disk falls behind: {most_mb} MB (max_memory_mb) of messages wait for it, and new messages are left "
             "out of the bag; record fewer topics, or on a faster disk."
         )
-        self.get_logger().warning(self._last_loss, throttle_duration_sec=1.0)
+        self._warnings.log(self._last_loss)
 
     def _work(self) -> None:
         """Write messages until the bag is closed, and pass them to the operating system at regular times."""

@@ -47,7 +47,7 @@ from sal_height.messages.codec import SHIPPED, BrokenMessage
 from sal_height.messages.kinds import kind_of
 from sal_height.nodes.managed import Topics
 from sal_height.nodes.parameters import parameter_of
-from sal_height.nodes.polled import PERIOD_S, PolledOdometry
+from sal_height.nodes.polled import PERIOD_S, SHORTEST_QUEUE, PolledOdometry
 from sal_height.nodes.pooled import PooledJobs
 from sal_height.nodes.transport.endpoints import Inlet, Outlet
 from sal_height.nodes.transport.log import log_warning
@@ -168,7 +168,7 @@ class StageNode(WorkerNode):
             if viewer := VIEWERS.get(port.kind):
                 self._viewers[port.name] = viewer(self, port)
         self._inlets_of = {port.name: self._listen_to(port, settings) for port in self.stage_class.inputs(settings)}
-        if isinstance(self.stage, Compression):
+        if isinstance(self.stage, Compression) and self._inlets_of[ODOMETRY].depth >= SHORTEST_QUEUE:
             timer = self.every(PERIOD_S, self.receive_polled)
             self._odometry = PolledOdometry(self, self._inlets_of[ODOMETRY], timer, self.stage, settings.frames)
 

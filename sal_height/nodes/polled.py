@@ -27,6 +27,10 @@ dwell waits for the next one for a few looks at most."""
 MEASURED_S = 0.5
 """Time in which the rate is measured, s."""
 
+SHORTEST_QUEUE = 1000
+"""Least depth of a subscription that is looked at: its stage decides every .1 s at least, and no more samples arrive
+until then. With a shorter queue, which users can set, the executor waits for each sample."""
+
 
 class PolledOdometry:
     """Odometry of a stage. If it is much, what has arrived is accepted before the stage decides on anything else.

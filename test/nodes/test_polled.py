@@ -27,8 +27,8 @@ TIMEOUT_S = 120.0
 class Flight:
     """A compression, and a source that publishes what a dwell needs."""
 
-    def __init__(self, graph: Graph) -> None:
-        values = {"rows": 20, "cols": 8, "air": "none", "timeout_s": 3600.0, **EXACT_ODOMETRY}
+    def __init__(self, graph: Graph, **parameters: object) -> None:
+        values = {"rows": 20, "cols": 8, "air": "none", "timeout_s": 3600.0, **EXACT_ODOMETRY, **parameters}
         overrides = [Parameter(name, value=value) for name, value in values.items()]
         self.graph = graph
         self.node: StageNode = graph.add(
@@ -111,6 +111,20 @@ def test_no_executor_waits_for_odometry_while_it_is_much(graph: Graph, monkeypat
         flight.wait(lambda sent=sent: inlet.received == sent)
     assert inlet.missed == 0
     assert not any(name.startswith(("odometry.", "ignored")) for name in flight.summary())
+
+
+@pytest.mark.parametrize("depth", [0, 10])
+@pytest.mark.filterwarnings("ignore:A zero depth")
+def test_an_executor_waits_for_odometry_that_has_a_short_queue(graph: Graph, depth: int) -> None:
+    """More samples than have room would arrive from one look to the next."""
+    flight = Flight(graph, **{"qos_overrides./platform/odometry.subscription.depth": depth})
+    assert "/platform/odometry" in [one.topic_name for one in flight.node.subscriptions]
+    (inlet,) = [one for one in flight.node.inlets if one.topic == "/platform/odometry"]
+    flight.publish_frames()
+    for number, cdr in enumerate(flight.odometry(20)):
+        flight.publish_odometry([cdr])
+        flight.wait(lambda number=number: inlet.received == number + 1)
+    flight.wait(lambda: flight.summary()["processed"] == 8)
 
 
 @pytest.mark.parametrize("count", [4, 300])

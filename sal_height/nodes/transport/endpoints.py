@@ -218,6 +218,11 @@ class Inlet:
                 return
             yield taken
 
+    @property
+    def depth(self) -> int:
+        """Number of messages that may wait, as users have set it; 0: the middleware chooses it."""
+        return int(self._profile.depth)
+
     def leave(self) -> None:
         """Receive no items any more."""
         while self._leave:

@@ -51,22 +51,36 @@ class CalibrationChoice(NamedTuple):
     Attributes:
         in_use: calibration in use; None: none.
         on_trial: calibration that is adopted or refused by the next dwells; None: none.
-        trial: number of the trial; two of the same calibration have different numbers.
+        trial: number of the trial; no two trials of a stage have the same.
+        first_open: number of the first trial whose outcome was not known when `on_trial` was received; 0: there was
+            none. The calibration that it may have adopted is in use then.
     """
 
     in_use: Calibration | None = None
     on_trial: Calibration | None = None
     trial: int = 0
+    first_open: int = 0
 
-    def with_received(self, calibration: Calibration) -> CalibrationChoice:
-        """The choice after a calibration was received; the same one if it is known already."""
-        if calibration.id in {one.id for one in (self.in_use, self.on_trial) if one}:
+    def with_received(self, calibration: Calibration, trial: int) -> CalibrationChoice:
+        """The choice after a calibration was received, which may have a trial of that number; the last one counts."""
+        if self.on_trial and self.on_trial.id == calibration.id:
             return self
-        return CalibrationChoice(self.in_use, calibration, self.trial + 1)
+        if self.in_use and self.in_use.id == calibration.id:
+            return CalibrationChoice(self.in_use)
+        return CalibrationChoice(
+            self.in_use, calibration, trial, (self.first_open or self.trial) if self.on_trial else 0
+        )
 
     def decided(self, *, adopted: bool) -> CalibrationChoice:
         """The choice after a trial."""
-        return self._replace(in_use=self.on_trial if adopted else self.in_use, on_trial=None)
+        return CalibrationChoice(self.on_trial if adopted else self.in_use)
+
+    def after(self, earlier: CalibrationChoice, *, adopted: bool) -> CalibrationChoice:
+        """The choice after the trial of `earlier`: this one, or one before it whose outcome was open."""
+        if self.on_trial and earlier.trial == self.trial:
+            return self.decided(adopted=adopted)
+        was_open = self.on_trial and 0 < self.first_open <= earlier.trial < self.trial
+        return self._replace(in_use=earlier.on_trial) if was_open and adopted else self
 
 
 class ChosenCalibrations:
@@ -75,17 +89,19 @@ class ChosenCalibrations:
     def __init__(self) -> None:
         """Start without any."""
         self._kept = Kept[CalibrationChoice](CALIBRATIONS_KEPT)
+        self._count = 0
 
     def __copy__(self) -> Self:
         """The same calibrations; the copy receives others later."""
         copied = type(self)()
-        copied._kept = copy(self._kept)  # noqa: SLF001 (of our own class)
+        copied._kept, copied._count = copy(self._kept), self._count  # noqa: SLF001 (of our own class)
         return copied
 
     def receive(self, calibration: Calibration) -> None:
         """Put a calibration on trial, in place of another one that is."""
         name = calibration.config_hash
-        self._kept.put(name, (self._kept.get(name) or CalibrationChoice()).with_received(calibration))
+        self._count += 1
+        self._kept.put(name, (self._kept.get(name) or CalibrationChoice()).with_received(calibration, self._count))
 
     def of(self, sensor: Sensor) -> CalibrationChoice:
         """The calibrations of a sensor; of one whose data cannot be tested each is in use once it was received."""
@@ -93,11 +109,12 @@ class ChosenCalibrations:
         return choice if can_be_tried(sensor) or not choice.on_trial else choice.decided(adopted=True)
 
     def follow(self, choice: CalibrationChoice, results: Sequence[Result]) -> None:
-        """Adopt or refuse the calibration on trial by the results of a dwell, unless another was received since."""
+        """Adopt or refuse the calibration on trial by the results of a dwell."""
         adopted = any(isinstance(one, Event) and one.name == CALIBRATIONS_ADOPTED for one in results)
         refused = any(isinstance(one, Notice) and one.kind == CALIBRATION_REFUSED for one in results)
-        if choice.on_trial and (adopted or refused) and self._kept.get(choice.on_trial.config_hash) == choice:
-            self._kept.put(choice.on_trial.config_hash, choice.decided(adopted=adopted))
+        now = self._kept.get(choice.on_trial.config_hash) if choice.on_trial and (adopted or refused) else None
+        if choice.on_trial and now:
+            self._kept.put(choice.on_trial.config_hash, now.after(choice, adopted=adopted))
 
 
 class Calibrations:

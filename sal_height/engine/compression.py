@@ -148,7 +148,7 @@ class Compression(DwellStage):
         self._applied_from: dict[str, Sequence[DwellKey]] = {}
         """Dwells from which on calibrations are applied, by their identity; empty once they have arrived."""
         # The heavy side.
-        self._strips = RecentValues[Compressor](SENSORS_KEPT, Compressor)
+        self._strips = RecentValues[Compressor](2 * SENSORS_KEPT, Compressor)  # two where a calibration is on trial
         """Compressors of the blocks of each sensor in stripmap, by its config_hash and the calibration."""
         self._trials = Kept[tuple[int, CalibrationTrial]](SENSORS_KEPT)
         """Last trial of a calibration, and its number, by config_hash of the sensor."""
@@ -366,6 +366,8 @@ class Compression(DwellStage):
                 yield Notice(CALIBRATION_REFUSED, f"Dwell {number}: {trial.refusal}")
             elif trial.adopted and not was_decided:
                 yield Event(CALIBRATIONS_ADOPTED)
+            if trial.adopted is not None and not was_decided:
+                self._strips.remove(_strip_name(whole.sensor, trial.left_out))
         else:
             slc, calibration = form(choice.in_use), choice.in_use
         samples = prepared.history.samples
@@ -384,7 +386,7 @@ class Compression(DwellStage):
         """Compressor of the blocks of a sensor so far; a new one for a spotlight dwell, which needs none before it."""
         if sensor.mode != "stripmap":
             return Compressor()
-        compressor = self._strips.of(f"{sensor.config_hash} {calibration.id if calibration else ''}")
+        compressor = self._strips.of(_strip_name(sensor, calibration))
         self._strips.take_surplus()
         return compressor
 
@@ -392,7 +394,8 @@ class Compression(DwellStage):
         """The trial of a calibration, which goes on from dwell to dwell."""
         number, trial = self._trials.use(sensor.config_hash) or (0, None)
         if trial is None or number != choice.trial:
-            trial = CalibrationTrial(on_trial, choice.in_use)
+            before = trial.settled if trial and 0 < choice.first_open <= number else choice.in_use
+            trial = CalibrationTrial(on_trial, before)
             self._trials.put(sensor.config_hash, (choice.trial, trial))
         return trial
 
@@ -519,6 +522,11 @@ class _Prepared(NamedTuple):
     sensor: Sensor
     settings: CompressionSettings
     stated: dict[str, Any]
+
+
+def _strip_name(sensor: Sensor, calibration: Calibration | None) -> str:
+    """Name of the compressor of a strip."""
+    return f"{sensor.config_hash} {calibration.id if calibration else ''}"
 
 
 @lru_cache(maxsize=8)

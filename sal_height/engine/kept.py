@@ -88,6 +88,10 @@ class RecentValues(Generic[Value]):
         names = list(self._values)[: -self._capacity]
         return [self._values.pop(name) for name in names]
 
+    def remove(self, name: str) -> None:
+        """Remove the value of a name, if it is kept."""
+        self._values.pop(name, None)
+
     def take_all(self) -> list[Value]:
         """Remove all values, and return them, that asked for last being the last."""
         values, self._values = list(self._values.values()), {}

@@ -34,6 +34,7 @@ class CalibrationTrial:
     Attributes:
         adopted: True if the calibration is used from now on, False if it is refused; None: not decided yet.
         refusal: warning that states why it is refused; empty: it is not.
+        chosen: calibration of the images that were made last; None: none, the sensor is taken as described.
     """
 
     def __init__(self, calibration: Calibration, before: Calibration | None) -> None:
@@ -45,42 +46,61 @@ class CalibrationTrial:
         """
         self.adopted: bool | None = None
         self.refusal = ""
+        self.chosen: Calibration | None = calibration
         self._calibration, self._before = calibration, before
         self._untested = 0
+        self._has_images = False
+        self._strip_before: Slc | None = None
+        """Last image of the strip without the calibration."""
 
     @property
-    def chosen(self) -> Calibration | None:
-        """Calibration for the next images: the one on trial, unless it is refused."""
-        return self._before if self.adopted is False else self._calibration
+    def settled(self) -> Calibration | None:
+        """Calibration in use after the trial as far as it went."""
+        return self._calibration if self.adopted else self._before
+
+    @property
+    def left_out(self) -> Calibration | None:
+        """Calibration that is not in use after the trial as far as it went."""
+        return self._before if self.adopted else self._calibration
 
     def images(self, form: Callable[[Calibration | None], Slc | None], sensor: Sensor) -> Slc | None:
         """Images of a dwell with the calibration that is `chosen` then; None: of too few pulses as yet.
 
         Args:
-            form: function that forms the images of the dwell with a calibration, or without one.
+            form: function that forms the images of the dwell with a calibration, or without one. It is called once
+                with each, for blocks of a strip follow each other.
             sensor: sensor of the dwell.
         """
         if self.adopted is not None:
+            self.chosen = self.settled
             return form(self.chosen)
-        # A strip without the calibration, too, needs all blocks.
-        other = form(self._before) if sensor.mode == "stripmap" else None
+        in_strip = sensor.mode == "stripmap"
+        # A strip without the calibration goes on until the one with it has an image, and needs all blocks.
+        before = form(self._before) if in_strip else None
+        self._strip_before = before or self._strip_before
         slc = form(self._calibration)
+        self._has_images = self._has_images or slc is not None
+        self.chosen = self._calibration if self._has_images else self._before
         if slc is None:
-            return None
+            return None if self._has_images else before
         gains, stretch = _tests_of(slc, sensor, self._calibration)
         departing = [test for test in (gains, stretch) if _departs(test)]
-        if departing and (other := other or form(self._before)):
+        other = (self._strip_before if in_strip else form(self._before)) if departing else None
+        if other:
             self.refusal = self._contradiction(departing[0], _tests_of(other, sensor, self._before))
             if self.refusal:
-                self.adopted = False
-                return other
+                self.adopted, self.chosen, self._strip_before = False, self._before, None
+                return before if in_strip else other
         self._untested += math.isnan(gains.p_value)
         if math.isfinite(gains.p_value) or self._untested >= MOST_UNTESTED:
-            self.adopted = True
+            self.adopted, self._strip_before = True, None
         return slc
 
     def _contradiction(self, departing: FitTest, tests_before: Sequence[FitTest]) -> str:
-        """Warning that the data contradict the calibration and not what was in use before; empty: they do not."""
+        """Warning that the data contradict the calibration and not what was in use before; empty: they do not.
+
+        What is wrong in the dwell itself, as with interference, departs with both by nearly as much.
+        """
         (before,) = (test for test in tests_before if test.name == departing.name)
         if any(map(_departs, tests_before)) or math.isnan(before.p_value):
             return ""

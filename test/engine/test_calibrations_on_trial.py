@@ -2,27 +2,46 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import pytest
 from driven import Driven, Step, accept, drive, scheduled_before
-from flown_items import EXACT_ODOMETRY, START_NS, Item, flight_items, images_in, key_of, small_flight
+from flown_items import (
+    EXACT_ODOMETRY,
+    START_NS,
+    STRIP,
+    Item,
+    flight_items,
+    frame_items,
+    images_in,
+    key_of,
+    noise_strip,
+    odometry_items,
+    small_flight,
+)
 from helpers import assert_one_sentence
 from stage_cases import calibration_of, stated
 
 from sal_height.calibration import Calibration
-from sal_height.engine.calibrations import CALIBRATION_REFUSED, CALIBRATIONS_ADOPTED
+from sal_height.engine.calibrations import (
+    CALIBRATION_REFUSED,
+    CALIBRATIONS_ADOPTED,
+    CalibrationChoice,
+    ChosenCalibrations,
+)
 from sal_height.engine.compression import Compression
 from sal_height.engine.image_items import Images
 from sal_height.engine.stage import Event
 from sal_height.sensor import Sensor
 from sal_height.simulation import SimulatedFlight, flight_of, load_preset
-from sal_height.topics import CALIBRATION
+from sal_height.topics import CALIBRATION, SENSOR_INFO
 
-IMAGE = {"rows": 46, "cols": 12, "air": "none", **EXACT_ODOMETRY}
+IMAGE: dict[str, Any] = {"rows": 46, "cols": 12, "air": "none", **EXACT_ODOMETRY}
 
 
 @pytest.fixture(scope="module")
@@ -147,6 +166,86 @@ def test_strips_go_on_as_without_one_that_is_refused() -> None:
     assert applied(made["right"]) == [right(strip).id] * 2
     for one, plain in zip(made["foreign"].made, made["plain"].made, strict=True):
         np.testing.assert_array_equal(one.item.slc.images, plain.item.slc.images)
+
+
+@pytest.mark.parametrize(("cols", "before"), [(256, 3), (128, 4)])
+def test_a_strip_has_no_seam_where_a_calibration_arrives_amid_it(cols: int, before: int) -> None:
+    """The strip without it goes on until that with it has an image, which completes at other blocks than the former."""
+    strip = flight_of(replace(load_preset("sal_stripmap"), dwells=7), 3)
+    image: dict[str, Any] = {**IMAGE, "cols": cols}
+    items = [accept(*item) for item in flight_items(strip)]
+
+    def made(first: Sequence[Step] = ()) -> Driven:
+        return drive(Compression(Compression.settings(**image, calibration="topic")), [*first, *items])
+
+    plain = made()
+    refused = made([scheduled_before(key_of(strip, before), *stated(foreign(strip)))])
+    assert (refused.lost(), applied(refused)) == ({}, [""] * len(plain.made))
+    for one, other in zip(refused.made, plain.made, strict=True):
+        np.testing.assert_array_equal(one.item.slc.images, other.item.slc.images)
+    adopted_one = made([scheduled_before(key_of(strip, before), *stated(right(strip)))])
+    along = [(float(one.item.slc.grid.origin[0]), one.item.slc.grid.cols) for one in adopted_one.made]
+    spacing = adopted_one.made[0].item.slc.grid.col_spacing
+    for (start, number), (next_start, _) in pairwise(along):
+        assert next_start <= start + (number + 0.5) * spacing, "columns are missing"
+    assert applied(adopted_one)[-1] == right(strip).id
+    assert adopted_one.warned() == plain.warned()
+
+
+def test_as_many_strips_as_without_trials_are_kept_at_once() -> None:
+    """Of noise, so that all calibrations stay on trial; blocks of the sensors take turns."""
+    strips = [noise_strip(4, name=name) for name in "abcd"]
+    settings: dict[str, Any] = {**STRIP, "calibration": "topic"}
+    stage = Compression(Compression.settings(**settings))
+    items: list[Item] = [item for strip in strips for item in ((SENSOR_INFO, strip.sensor), stated(right(strip)))]
+    items += [item for dwell in range(4) for strip in strips for item in frame_items(strip, dwell)]
+    driven = drive(
+        stage,
+        [
+            accept(*item)
+            for item in (*(item for dwell in range(4) for item in odometry_items(strips[0], dwell)), *items)
+        ],
+    )
+    assert Counter(applied(driven)) == {right(strip).id: 2 for strip in strips}
+
+
+@pytest.mark.parametrize("deferred", [False, True])
+def test_one_that_follows_at_once_is_compared_with_what_the_former_trial_has_adopted(
+    flight: SimulatedFlight, deferred: bool
+) -> None:
+    """Whether the stage has learnt of the outcome of the first trial or not."""
+    first, second = right(flight), foreign(flight)
+    change = scheduled_before(key_of(flight, 1), *stated(second))
+    driven = compressed(flight, [stated(first)], script=[change], deferred=deferred)
+    assert applied(driven) == [first.id] * 3
+    assert driven.warned() == {CALIBRATION_REFUSED: 1}
+    assert f"with calibration {first.id} by" in driven.notices[0].sentence
+    assert isinstance(driven.stage, Compression)
+    in_use = driven.stage._received.of(flight.sensor).in_use
+    assert in_use is not None
+    assert in_use.id == first.id
+
+
+def test_the_last_one_received_counts_though_another_one_is_on_trial(flight: SimulatedFlight) -> None:
+    choice = ChosenCalibrations()
+    first, second = right(flight), foreign(flight)
+    choice.receive(first)
+    choice.follow(choice.of(flight.sensor), [Event(CALIBRATIONS_ADOPTED)])
+    choice.receive(second)
+    on_trial = choice.of(flight.sensor)
+    choice.receive(first)
+    choice.follow(on_trial, [Event(CALIBRATIONS_ADOPTED)])
+    assert choice.of(flight.sensor) == CalibrationChoice(first)
+
+
+def test_no_two_trials_have_one_number(flight: SimulatedFlight) -> None:
+    """Also if a sensor has been forgotten meanwhile, for more sensors are calibrated than are kept."""
+    choice, numbers = ChosenCalibrations(), set()
+    sensors = [flight.sensor, *(replace(flight.sensor, name=name, config_hash="") for name in "abcd")]
+    for sensor in (*sensors, flight.sensor):
+        choice.receive(of_gains(sensor, [0.1] * 8))
+        numbers.add(choice.of(sensor).trial)
+    assert len(numbers) == 6
 
 
 def test_one_of_a_file_is_tried_as_well(flight: SimulatedFlight) -> None:

@@ -102,7 +102,7 @@ class CalibrationTrial:
         What is wrong in the dwell itself, as with interference, departs with both by nearly as much.
         """
         (before,) = (test for test in tests_before if test.name == departing.name)
-        if any(map(_departs, tests_before)) or math.isnan(before.p_value):
+        if any(map(_departs, tests_before)) or not before.statistic <= departing.statistic / 2:
             return ""
         former = f"calibration {self._before.id}" if self._before else "the description of the sensor alone"
         return (

@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 
 from benchmarks.calibration_trials import AS_DESCRIBED, DEPARTING, ERROR, FOREIGN, Instrument, calibrated, tried
+from benchmarks.goodness_of_fit import images_of, parts_of
 from sal_height.calibration import Calibration
 from sal_height.doubts import FitTest
 from sal_height.elevation.fit.channel_gains import CHANNEL_GAIN, common_gain_test
 from sal_height.imaging import Slc
 from sal_height.pipeline import CalibrationTrial, can_be_tried
-from sal_height.pipeline.calibration_trial import MOST_UNTESTED
+from sal_height.pipeline.calibration_trial import MOST_UNTESTED, _departs, _tests_of
 from sal_height.sensor import Sensor
 from sal_height.simulation import load_preset
 
@@ -61,6 +62,22 @@ def test_it_is_compared_with_the_one_in_use() -> None:
     assert trial.chosen is own
     assert f"with calibration {own.id} by " in trial.refusal
     assert tried(slc, sensor, other).adopted, "nothing fits, and the doubts of the heights name it"
+
+
+def test_what_is_wrong_in_the_dwell_itself_does_not_refuse_one_that_is_right() -> None:
+    """Interference in a fraction of the ranges, at which gains depart in about every second dwell, with or without."""
+    outcomes, departing = set(), 0
+    for scene in ("level", "street"):
+        images = images_of(scene, 16, 8)
+        noise = images.noise.copy()
+        noise[:, 40:90] += 10 ** (8 / 20) * np.roll(images.noise[0], (37, 6), axis=(0, 1))[40:90]
+        sensor = images.sensor
+        for slc in (part for cnr_db in (0, 3) for part in parts_of(replace(images, noise=noise).slc(cnr_db))):
+            trial = tried(slc, sensor, AS_DESCRIBED.calibration(sensor, ERROR))
+            outcomes.add(trial.adopted)
+            departing += any(map(_departs, _tests_of(slc, sensor, None)))
+    assert False not in outcomes
+    assert departing > 4, "the test has lost its meaning"
 
 
 def test_images_are_those_of_the_calibration_that_is_chosen() -> None:

@@ -138,6 +138,10 @@ def update_cells(
     difference. That gives the sum of v (h - mean)^2 without the cancellation of large squares. The misfit is the same
     with the weights w, after the offset was subtracted from each difference.
 
+    Of the error of a dwell before the latest one no more is known than its correlation r with that of the latest: its
+    covariance with the mean is the greatest possible one, and at most that of the latest over r, as all weights are
+    positive.
+
     Args:
         index: cell of each measurement, shape (measurements,).
         height: measured, m, shape (measurements,).
@@ -149,8 +153,8 @@ def update_cells(
         correlation: time in which the correlation of what varies in the common errors falls to 1 / e, s.
         cells: of each cell mean height, sum of the weights w (1/m^2), mean of common (m), mean and sum of the weights
             v, chi-square, and count; misfit, sum of w^2, sum of w^2 own, and mean of structure; of the varying error of
-            unit variance that of the mean, its covariance with the last one, and time of that, s; to be updated, shape
-            (cells, COLUMNS).
+            unit variance that of the mean, its covariance with that of the latest time, and that time, s; to be
+            updated, shape (cells, COLUMNS).
     """
     for i in range(len(index)):
         cell = cells[index[i]]
@@ -163,9 +167,16 @@ def update_cells(
         cell[0] += share * (height[i] - cell[0])
         cell[2] += share * (common[i] - cell[2])
         cell[10] += share * (structure[i] - cell[10])
-        last = cell[12] * np.exp(-max(time - cell[13], 0.0) / correlation)
-        cell[11] = squared(1 - share) * cell[11] + 2 * (1 - share) * share * last + squared(share)
-        cell[12] = (1 - share) * last + share
+        elapsed = time - cell[13] if cell[6] > 0 else 0.0
+        alike = np.exp(-abs(elapsed) / correlation)
+        with_mean = alike * cell[12]
+        if elapsed >= 0:
+            cell[12] = (1 - share) * with_mean + share
+        else:
+            with_mean += np.sqrt(max(cell[11] - squared(cell[12]), 0.0) * (1 - squared(alike)))
+            with_mean = min(with_mean, cell[12] * np.exp(min(-elapsed / correlation, 99.0)))
+            cell[12] = (1 - share) * cell[12] + share * alike
+        cell[11] = squared(1 - share) * cell[11] + 2 * (1 - share) * share * with_mean + squared(share)
         cell[13] = max(time, cell[13]) if cell[6] > 0 else time
         weight = 1 / (own[i] + structure[i] + squared(common[i]))
         step = weight / (cell[4] + weight) * (height[i] - cell[3])

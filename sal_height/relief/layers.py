@@ -69,8 +69,8 @@ class Layers:
         towards: distance east and north along the line of sight to the sensor per metre of rise, m/m, shape (n, 2).
         dwells: number of dwells that have measured them, shape (n,).
         averaged: variance of the mean over these dwells of a shared error that varies, over that of one, shape (n,).
-        last: covariance of that mean with the error of the last of these dwells, over the same, shape (n,).
-        time: time of the last of these dwells, s, shape (n,).
+        last: covariance of that mean with the error at `time`, over the same, shape (n,).
+        time: time of the latest of these dwells, or a later one, s, shape (n,).
     """
 
     place: F64
@@ -164,7 +164,8 @@ def joined_dwells(
     They are compared without the height `offset` (m) of the new dwell (`height_offset`), which remains in the heights:
     either may be right. `shared` is the course of the error that all pixels of a dwell share.
     """
-    known = known.at(new.time.max(initial=-np.inf), shared)
+    latest = np.concatenate([known.time, new.time]).max(initial=-np.inf)
+    known, new = known.at(latest, shared), new.at(latest, shared)
     compared = np.concatenate([known.place[:, 2], new.place[:, 2] - offset])
     return _merged(known.and_those(new), compared, cell_size, gate, np.add)
 

@@ -73,6 +73,34 @@ def test_sigma_is_that_of_the_mean_of_a_process_of_the_stated_correlation(kind: 
     assert np.median(relief.sigma[by_all]) == pytest.approx(np.sqrt(LASTS**2 + varying), rel=0.003)
 
 
+OUT_OF_ORDER = {
+    "one stamped ahead": np.array([*range(20), 200.0, *range(20, 30)]),
+    "late ones": np.array([*range(20), 200.0, *range(5, 15)]),
+    "two sensors": np.ravel([(time, time - 20.5) for time in 2.0 * np.arange(20)]),
+}
+"""Times of dwells in the order of their arrival, s."""
+
+
+@pytest.mark.parametrize("kind", MAPS)
+@pytest.mark.parametrize("order", OUT_OF_ORDER)
+def test_dwells_out_of_order_have_no_sigma_below_that_of_their_mean(kind: str, order: str) -> None:
+    """A dwell has more in common with those around its time than with the latest one."""
+    rng, times = np.random.default_rng(9), OUT_OF_ORDER[order]
+    relief = relief_of(MAPS[kind](COURSE), 1.7e9 + times, varying_offsets(times, COURSE, rng), rng)
+    found = np.median(relief.sigma[relief.count == len(times)])
+    varying = COURSE.varying**2 * correlation_of(times, COURSE).mean()
+    assert np.sqrt(LASTS**2 + 0.99 * varying) < found < 0.99 * np.hypot(LASTS, COURSE.varying)
+
+
+def test_neighbours_that_are_swapped_make_little_difference() -> None:
+    """By half a correlation time; the variance of the varying part is at most 1.3 times that of their mean."""
+    rng, times = np.random.default_rng(10), np.ravel([(time + 5.0, time) for time in 10.0 * np.arange(20)])
+    relief = relief_of(ReliefMap(0.2, 10_000, COURSE), times, varying_offsets(times, COURSE, rng), rng)
+    found = np.median(relief.sigma[relief.count == len(times)])
+    varying = COURSE.varying**2 * correlation_of(times, COURSE).mean()
+    assert np.sqrt(LASTS**2 + 0.99 * varying) < found < np.sqrt(LASTS**2 + 1.3 * varying)
+
+
 @pytest.mark.parametrize("kind", MAPS)
 def test_without_a_statement_the_shared_error_stays(kind: str) -> None:
     rng = np.random.default_rng(2)

@@ -9,7 +9,8 @@ from rclpy.parameter import Parameter
 from benchmarks.row import Row, medians, sized
 from benchmarks.stage_jobs import job_of, read_items
 from sal_height import messages
-from sal_height.engine.stage import Job, Product
+from sal_height.engine.results import Product
+from sal_height.engine.stage import Job
 from sal_height.messages import serialize
 from sal_height.nodes.processing import PROCESSING
 from sal_height.nodes.transport.graph import Graph

@@ -10,7 +10,8 @@ from typing import Any
 from sal_height.adjustment import read_targets
 from sal_height.calibration import Calibration, load_calibration, save_calibration
 from sal_height.engine.mapper import PlacedRelief
-from sal_height.engine.stage import FileProduct, Stage
+from sal_height.engine.results import FileProduct
+from sal_height.engine.stage import Stage
 from sal_height.geometry.elevation_model import read_elevation_model
 from sal_height.relief import check_geotiff, write_geotiff
 

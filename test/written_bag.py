@@ -10,7 +10,7 @@ from sal_height import messages
 from sal_height.bag import qos
 from sal_height.bag.reader import BagReader
 from sal_height.bag.writer import BagWriter
-from sal_height.engine.stage import DwellKey
+from sal_height.engine.results import DwellKey
 from sal_height.messages import serialize
 from sal_height.messages.parameters import parameter_of
 from sal_height.messages.types import (

@@ -12,7 +12,7 @@ from sal_height.bag.reader import BagReader
 from sal_height.bag.topics import FIX_TYPE, FRAME_TYPE, SENSOR_TYPE, Topic
 from sal_height.engine.dwells import CONTRADICTION
 from sal_height.engine.frame_items import Frame
-from sal_height.engine.stage import DwellKey
+from sal_height.engine.results import DwellKey
 from sal_height.errors import UserError
 from sal_height.geometry import Origin
 from sal_height.messages.types import ParameterEvent

@@ -11,7 +11,7 @@ from typing import NamedTuple
 from sal_height import messages
 from sal_height.bag.topics import FRAME_TYPE, HEIGHT_TYPE, IMAGE_TYPE, ODOMETRY_TYPE, BagMessage
 from sal_height.engine.frame_items import Frame
-from sal_height.engine.stage import DwellKey
+from sal_height.engine.results import DwellKey
 from sal_height.messages.types import Provenance
 
 MARGIN_NS = 1_000_000_000

@@ -25,8 +25,9 @@ from sal_height.engine.height_items import Heights, heights_port, packed
 from sal_height.engine.heights import HEIGHTS_ABOUT
 from sal_height.engine.kept import RecentValues
 from sal_height.engine.mapper import ADJUSTED as PREFIX
+from sal_height.engine.results import DwellKey, Event, Notice, Product, Result
 from sal_height.engine.settings import DwellSettings, FrameSettings
-from sal_height.engine.stage import DwellKey, Event, FileInput, Job, Notice, Port, Product, Result
+from sal_height.engine.stage import FileInput, Job, Port
 from sal_height.engine.track import Arrival, OdometryHistory, without_delay
 from sal_height.errors import Rejected, UserError
 from sal_height.geometry import Mounting, PlatformState

@@ -7,7 +7,8 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 from sal_height.engine.frame_items import Frame
-from sal_height.engine.stage import DwellKey, Port
+from sal_height.engine.results import DwellKey
+from sal_height.engine.stage import Port
 from sal_height.errors import Rejected
 from sal_height.geometry import RADIO_M, PlatformState, describe_implausible_pressure, height_of
 from sal_height.imaging import CorrectionSettings

@@ -10,7 +10,8 @@ from sal_height.calibration import Calibration
 from sal_height.engine.image_items import applied_calibration
 from sal_height.engine.kept import Kept
 from sal_height.engine.provenance import Provenance
-from sal_height.engine.stage import Event, Notice, Port, Result
+from sal_height.engine.results import Event, Notice, Result
+from sal_height.engine.stage import Port
 from sal_height.errors import Rejected
 from sal_height.pipeline import can_be_tried
 from sal_height.sensor import Sensor

@@ -13,8 +13,9 @@ from sal_height.engine.heights import images_of
 from sal_height.engine.image_items import ChannelImage, Images, check_image, check_images
 from sal_height.engine.kept import RecentValues
 from sal_height.engine.provenance import Provenance
+from sal_height.engine.results import Answer, FileProduct, Product, Remark, Result
 from sal_height.engine.settings import ChannelSettings
-from sal_height.engine.stage import Answer, FileProduct, Job, Port, Product, Remark, Result
+from sal_height.engine.stage import Job, Port
 from sal_height.errors import Rejected, UserError
 from sal_height.geometry import sphere_point
 from sal_height.numeric import F64

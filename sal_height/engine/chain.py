@@ -10,7 +10,8 @@ from collections import deque
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
-from sal_height.engine.stage import Decision, DwellKey, Job, Product, Rehearsal, Result, Stage
+from sal_height.engine.results import DwellKey, Product, Result
+from sal_height.engine.stage import Decision, Job, Rehearsal, Stage
 
 
 class Made(NamedTuple):

@@ -40,19 +40,9 @@ from sal_height.engine.gathering import Dwell
 from sal_height.engine.image_items import AIR_LEFT, AIR_REMOVED, Images, Source
 from sal_height.engine.kept import Kept, RecentValues
 from sal_height.engine.provenance import of_compression
+from sal_height.engine.results import DwellKey, Event, Notice, Product, Result
 from sal_height.engine.settings import ChannelSettings, FrameSettings, processing_of
-from sal_height.engine.stage import (
-    FOREVER_NS,
-    Decision,
-    DwellKey,
-    Event,
-    FileInput,
-    Job,
-    Notice,
-    Port,
-    Product,
-    Result,
-)
+from sal_height.engine.stage import FOREVER_NS, Decision, FileInput, Job, Port
 from sal_height.engine.track import Arrival, OdometryHistory, OdometrySettings, Samples, longest_gap_s
 from sal_height.errors import Rejected, UserError
 from sal_height.geometry import Mounting, PlatformState, Trajectory

@@ -10,8 +10,9 @@ from typing import Any, ClassVar, NamedTuple
 
 from sal_height.engine.gathering import Dwell, DwellAssembler, WaitingClock
 from sal_height.engine.kept import Kept
+from sal_height.engine.results import DwellKey, Result
 from sal_height.engine.settings import DwellSettings
-from sal_height.engine.stage import ENDED, FOREVER_NS, RESET, DwellKey, Job, Port, Rehearsal, Reset, Result, Stage
+from sal_height.engine.stage import ENDED, FOREVER_NS, RESET, Job, Port, Rehearsal, Reset, Stage
 from sal_height.errors import Rejected, UserError
 from sal_height.sensor import Sensor
 from sal_height.topics import SENSOR_INFO

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 
 from sal_height.engine.provenance import Same
-from sal_height.engine.stage import DwellKey
+from sal_height.engine.results import DwellKey
 from sal_height.errors import Rejected
 from sal_height.numeric import C64, F32, F64, U8
 from sal_height.sensor import PhaseHistory, Sensor

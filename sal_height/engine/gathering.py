@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from operator import attrgetter
 from typing import Any, Generic, TypeVar
 
-from sal_height.engine.stage import DwellKey
+from sal_height.engine.results import DwellKey
 from sal_height.errors import Rejected
 from sal_height.sensor import Sensor
 

@@ -14,7 +14,8 @@ from sal_height.doubts import Doubt, FitTest
 from sal_height.elevation import ORDERS, USABLE, Validity, scatterer_count
 from sal_height.engine.geometry_items import FARTHEST, Aperture, check_geometry
 from sal_height.engine.provenance import Provenance
-from sal_height.engine.stage import DwellKey, Notice, Port
+from sal_height.engine.results import DwellKey, Notice
+from sal_height.engine.stage import Port
 from sal_height.errors import Rejected
 from sal_height.geometry import ApertureState, Grid, above_place
 from sal_height.numeric import F32, F64, U8, by_fields

@@ -19,8 +19,9 @@ from sal_height.engine.geometry_items import Aperture
 from sal_height.engine.height_items import Heights, packed
 from sal_height.engine.image_items import ChannelImage, Images, check_image, check_images
 from sal_height.engine.provenance import LEFT_OUT
+from sal_height.engine.results import DwellKey, Notice, Product, Result, loss_of
 from sal_height.engine.settings import ChannelSettings, processing_of
-from sal_height.engine.stage import FOREVER_NS, DwellKey, Job, Notice, Port, Product, Result, loss_of
+from sal_height.engine.stage import FOREVER_NS, Job, Port
 from sal_height.errors import Rejected
 from sal_height.imaging import ImageSettings
 from sal_height.pipeline import heights_of_dwells, live_channels

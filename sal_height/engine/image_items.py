@@ -14,7 +14,7 @@ from sal_height.doubts import Doubt, FitTest
 from sal_height.engine.frame_items import Frame, fault_of_channel
 from sal_height.engine.geometry_items import Aperture, are_equal, check_geometry
 from sal_height.engine.provenance import Provenance
-from sal_height.engine.stage import DwellKey
+from sal_height.engine.results import DwellKey
 from sal_height.errors import Rejected
 from sal_height.geometry import Grid, PlatformState
 from sal_height.imaging import Slc

@@ -6,7 +6,7 @@ from collections import Counter
 from dataclasses import dataclass, field
 from typing import Any
 
-from sal_height.engine.stage import Loss, Notice
+from sal_height.engine.results import Loss, Notice
 
 WARNED = "warned by "
 """Prefix of the kinds of warnings on dwells that are used all the same."""

@@ -14,22 +14,9 @@ from sal_height.elevation import ESTIMATORS
 from sal_height.engine.frames import PlacedOrigin
 from sal_height.engine.height_items import Heights, heights_port
 from sal_height.engine.provenance import Provenance
+from sal_height.engine.results import Answer, DwellKey, FileProduct, Loss, Notice, Product, Remark, Result
 from sal_height.engine.settings import MapFrameSettings, MapOriginSettings
-from sal_height.engine.stage import (
-    Answer,
-    DwellKey,
-    FileProduct,
-    Job,
-    Loss,
-    Notice,
-    Port,
-    Product,
-    Remark,
-    Reset,
-    Result,
-    Stage,
-    StageSettings,
-)
+from sal_height.engine.stage import Job, Port, Reset, Stage, StageSettings
 from sal_height.engine.tracker import PREFIX as TRACKED
 from sal_height.errors import UserError
 from sal_height.geometry import UTM, ApertureState, Origin, Projection, find_system

@@ -15,8 +15,9 @@ from sal_height.engine.dwells import SENSORS_KEPT, WholeDwell
 from sal_height.engine.heights import ImageStage, images_of
 from sal_height.engine.image_items import ChannelImage, Images
 from sal_height.engine.kept import RecentValues
+from sal_height.engine.results import DwellKey, Event, Loss, Notice, Product, Result
 from sal_height.engine.settings import ChannelSettings
-from sal_height.engine.stage import DwellKey, Event, Job, Loss, Notice, Port, Product, Reset, Result
+from sal_height.engine.stage import Job, Port, Reset
 from sal_height.errors import Rejected, UserError
 from sal_height.movers import ALONE, DwellMovers, Looked, MoverSettings, StripMovers, check_sensor
 from sal_height.pipeline import dwell_with_movers, strip_with_movers

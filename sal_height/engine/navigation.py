@@ -7,8 +7,9 @@ from typing import Any, NamedTuple
 
 from sal_height.engine.frames import PlacedOrigin
 from sal_height.engine.mapper import ORIGIN_PORT
+from sal_height.engine.results import Product, Remark
 from sal_height.engine.settings import FrameSettings, MapOriginSettings
-from sal_height.engine.stage import Port, Product, Remark, Stage, StageSettings
+from sal_height.engine.stage import Port, Stage, StageSettings
 from sal_height.errors import UserError
 from sal_height.geometry import GEOID_SIGMA_M, LEVELS, UNKNOWN_LEVEL, Altitudes, Navigation, PlatformState, Sample
 from sal_height.settings import setting

@@ -18,8 +18,9 @@ from sal_height.engine.geometry_items import Aperture
 from sal_height.engine.height_items import Heights, heights_port, packed
 from sal_height.engine.heights import HEIGHTS_ABOUT
 from sal_height.engine.provenance import CACHED, LEFT_OUT, Provenance, Same
+from sal_height.engine.results import DwellKey, Product, Result
 from sal_height.engine.settings import MapFrameSettings
-from sal_height.engine.stage import DwellKey, Job, Port, Product, Rehearsal, Reset, Result, Stage, StageSettings
+from sal_height.engine.stage import Job, Port, Rehearsal, Reset, Stage, StageSettings
 from sal_height.rehearsal import made_up_heights
 from sal_height.relief import PriorEstimate, TrackingSettings, track
 from sal_height.settings import setting

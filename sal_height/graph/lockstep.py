@@ -17,7 +17,7 @@ from rclpy.node import Node
 from rclpy.time import Time
 from tqdm import tqdm
 
-from sal_height.engine.stage import DwellKey
+from sal_height.engine.results import DwellKey
 from sal_height.errors import UserError
 from sal_height.graph.catalogue import stage_inputs
 from sal_height.graph.ensemble import Ensemble, members_of

@@ -9,7 +9,8 @@ from typing import Any, Literal
 
 from sal_height.bag.reader import LogTimes
 from sal_height.engine.compression import SENSOR
-from sal_height.engine.stage import DwellKey, Reset
+from sal_height.engine.results import DwellKey
+from sal_height.engine.stage import Reset
 from sal_height.errors import Rejected, UserError
 from sal_height.geometry import Mounting
 from sal_height.graph.catalogue import NodeParameters

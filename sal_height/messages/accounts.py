@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any
 
-from sal_height.engine.stage import DwellKey, Loss
+from sal_height.engine.results import DwellKey, Loss
 from sal_height.messages.basics import to_stamp
 from sal_height.messages.types import Count, DwellLoss, Header, NodeAccount
 

@@ -13,7 +13,7 @@ import numpy as np
 from sal_height.engine.frame_items import Frame, frames_of, history_of
 from sal_height.engine.frames import USUAL, Frames
 from sal_height.engine.geometry_items import FARTHEST, FASTEST
-from sal_height.engine.stage import DwellKey
+from sal_height.engine.results import DwellKey
 from sal_height.errors import Rejected
 from sal_height.geometry import PlatformState, rotation_matrix
 from sal_height.messages.basics import check_finite, check_rotation, numbers_of, to_ns, to_stamp, xyz

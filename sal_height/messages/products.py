@@ -16,7 +16,7 @@ from sal_height.engine.height_items import Heights, PackedSurface, packed
 from sal_height.engine.image_items import ChannelImage, Images, Place, check_image
 from sal_height.engine.mapper import PlacedRelief
 from sal_height.engine.provenance import Provenance, Same
-from sal_height.engine.stage import DwellKey
+from sal_height.engine.results import DwellKey
 from sal_height.geometry import ApertureState
 from sal_height.imaging import Slc
 from sal_height.messages.basics import (

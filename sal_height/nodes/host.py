@@ -26,21 +26,8 @@ from sal_height.engine.height_items import Heights
 from sal_height.engine.image_items import count_messages
 from sal_height.engine.navigation import Attitude, Fix, Pose, Twist
 from sal_height.engine.registry import STAGES
-from sal_height.engine.stage import (
-    Answer,
-    Decision,
-    DwellKey,
-    Event,
-    FileProduct,
-    Job,
-    Loss,
-    Notice,
-    Port,
-    Product,
-    Remark,
-    Result,
-    Stage,
-)
+from sal_height.engine.results import Answer, DwellKey, Event, FileProduct, Loss, Notice, Product, Remark, Result
+from sal_height.engine.stage import Decision, Job, Port, Stage
 from sal_height.errors import Rejected, UserError
 from sal_height.geometry import Mounting, PlatformState
 from sal_height.messages.codec import SHIPPED, BrokenMessage

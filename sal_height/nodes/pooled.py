@@ -7,7 +7,8 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import Any, Protocol
 
-from sal_height.engine.stage import Job, Port, Result
+from sal_height.engine.results import Result
+from sal_height.engine.stage import Job, Port
 from sal_height.errors import Rejected
 from sal_height.nodes.jobs import JobQueue, QueuedJob
 from sal_height.nodes.transport.endpoints import Inlet, Outlet

@@ -23,7 +23,8 @@ from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
 from rclpy.timer import Timer
 
-from sal_height.engine.stage import DwellKey, Loss, StageSettings
+from sal_height.engine.results import DwellKey, Loss
+from sal_height.engine.stage import StageSettings
 from sal_height.errors import Rejected, UserError
 from sal_height.messages.accounts import loss_to_message
 from sal_height.messages.codec import SHIPPED, BrokenMessage

@@ -20,7 +20,8 @@ from contextlib import suppress
 from functools import partial
 from typing import Any, Protocol, TypeAlias
 
-from sal_height.engine.stage import DwellKey, Job, Rehearsal, Result
+from sal_height.engine.results import DwellKey, Result
+from sal_height.engine.stage import Job, Rehearsal
 from sal_height.errors import Rejected
 from sal_height.workers.arena import Arena
 from sal_height.workers.keeper import Keeper

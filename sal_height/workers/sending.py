@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sal_height.engine.stage import Result
+from sal_height.engine.results import Result
 from sal_height.workers.arena import Arena, MemoryBlock, Region
 from sal_height.workers.serving import HEAD, Batch
 from sal_height.workers.transfer import Array, ArrayAt, Known, Pickler, Unpickler, copy_into

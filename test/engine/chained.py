@@ -17,7 +17,8 @@ from sal_height.engine.chain import Chain, Made
 from sal_height.engine.compression import Compression
 from sal_height.engine.height_items import Heights
 from sal_height.engine.heights import height_stage
-from sal_height.engine.stage import Decision, Event, Job, Loss, Notice, Product, Result, Stage
+from sal_height.engine.results import Event, Loss, Notice, Product, Result
+from sal_height.engine.stage import Decision, Job, Stage
 from sal_height.simulation import SimulatedFlight
 
 IMAGE = {"rows": 46, "cols": 12, "air": "none"}

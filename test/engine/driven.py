@@ -8,7 +8,8 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from sal_height.engine.stage import Decision, DwellKey, Job, Loss, Notice, Product, Rehearsal, Result, Stage
+from sal_height.engine.results import DwellKey, Loss, Notice, Product, Result
+from sal_height.engine.stage import Decision, Job, Rehearsal, Stage
 
 Step = Callable[[Stage], Sequence[Decision] | None]
 """Something that a host does with a stage."""

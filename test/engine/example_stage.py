@@ -9,7 +9,8 @@ import numpy as np
 
 from sal_height.elevation import USABLE
 from sal_height.engine.height_items import Heights
-from sal_height.engine.stage import DwellKey, Job, Port, Product, Result, Stage, StageSettings
+from sal_height.engine.results import DwellKey, Product, Result
+from sal_height.engine.stage import Job, Port, Stage, StageSettings
 from sal_height.settings import setting
 
 

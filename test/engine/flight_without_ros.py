@@ -20,7 +20,8 @@ from sal_height.engine.heights import height_stage
 from sal_height.engine.mapper import GroundMapper, ReliefMapper
 from sal_height.engine.movers import MoverDetection
 from sal_height.engine.navigation import NavigationStage, Pose, Twist
-from sal_height.engine.stage import FileProduct, Loss, Product, Rehearsal, Stage
+from sal_height.engine.results import FileProduct, Loss, Product
+from sal_height.engine.stage import Rehearsal, Stage
 from sal_height.engine.tracker import Tracker
 from sal_height.geometry import PlatformState, Sample
 from sal_height.simulation import flight_of, load_preset

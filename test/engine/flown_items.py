@@ -16,7 +16,8 @@ from sal_height.engine.height_items import Heights
 from sal_height.engine.heights import height_stage
 from sal_height.engine.image_items import Images
 from sal_height.engine.provenance import Same
-from sal_height.engine.stage import DwellKey, Loss, Product, Stage
+from sal_height.engine.results import DwellKey, Loss, Product
+from sal_height.engine.stage import Stage
 from sal_height.engine.track import ACCURACY, Samples
 from sal_height.geometry import PlatformState
 from sal_height.sensor import PhaseHistory, Sensor

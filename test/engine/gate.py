@@ -10,8 +10,9 @@ from driven import Driven, accept, advance, nothing_before
 from helpers import make_sensor
 
 from sal_height.engine.dwells import SENSOR_PORT, DwellStage, WholeDwell
+from sal_height.engine.results import DwellKey, Product, Result
 from sal_height.engine.settings import ChannelSettings
-from sal_height.engine.stage import DwellKey, Job, Port, Product, Result
+from sal_height.engine.stage import Job, Port
 from sal_height.errors import Rejected
 from sal_height.sensor import Sensor
 from sal_height.topics import SENSOR_INFO

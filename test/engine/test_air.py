@@ -15,7 +15,8 @@ from helpers import assert_one_sentence, make_sensor
 from sal_height.engine.air import SAMPLES_KEPT, AirHistory, AirSample, air_of_dwell, may_have_air, needed_air
 from sal_height.engine.compression import CompressionSettings
 from sal_height.engine.provenance import Provenance, flat_values
-from sal_height.engine.stage import FOREVER_NS, DwellKey
+from sal_height.engine.results import DwellKey
+from sal_height.engine.stage import FOREVER_NS
 from sal_height.engine.tracker import Tracker, _series_of
 from sal_height.errors import Rejected
 from sal_height.geometry import PlatformState

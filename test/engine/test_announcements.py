@@ -25,7 +25,8 @@ from stage_cases import air_items, calibration_of, stated, transform
 from sal_height.engine.adjuster import HeightAdjuster
 from sal_height.engine.air import AIR_PARAMETERS, AirSample
 from sal_height.engine.compression import Compression
-from sal_height.engine.stage import FOREVER_NS, Loss
+from sal_height.engine.results import Loss
+from sal_height.engine.stage import FOREVER_NS
 from sal_height.topics import CALIBRATION, ODOMETRY, PHASE_HISTORY, SENSOR_INFO, SLC, TF_STATIC
 
 SECOND = 1_000_000_000

@@ -36,7 +36,7 @@ from sal_height.engine.calibrations import (
 )
 from sal_height.engine.compression import Compression
 from sal_height.engine.image_items import Images
-from sal_height.engine.stage import Event
+from sal_height.engine.results import Event
 from sal_height.sensor import Sensor
 from sal_height.simulation import SimulatedFlight, flight_of, load_preset
 from sal_height.topics import CALIBRATION, SENSOR_INFO

@@ -31,7 +31,7 @@ from sal_height.engine.calibrator import PsfCalibration
 from sal_height.engine.chain import Chain
 from sal_height.engine.compression import Compression
 from sal_height.engine.heights import height_stage
-from sal_height.engine.stage import Event, Product
+from sal_height.engine.results import Event, Product
 from sal_height.engine.tracker import Tracker
 from sal_height.geometry import Mounting
 from sal_height.topics import CALIBRATION, ODOMETRY, SENSOR_INFO, SLC, TF_STATIC

@@ -30,7 +30,8 @@ from stage_cases import air_items
 from sal_height.engine.compression import Compression
 from sal_height.engine.frame_items import Frame, history_of, samples_in_line
 from sal_height.engine.image_items import Images
-from sal_height.engine.stage import FOREVER_NS, Event, Stage
+from sal_height.engine.results import Event
+from sal_height.engine.stage import FOREVER_NS, Stage
 from sal_height.engine.track import Arrival
 from sal_height.geometry import height_of
 from sal_height.topics import ODOMETRY, PHASE_HISTORY, SENSOR_INFO

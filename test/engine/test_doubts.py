@@ -16,7 +16,7 @@ from sal_height.engine.compression import Compression, CompressionSettings
 from sal_height.engine.flight_adjuster import FlightAdjuster
 from sal_height.engine.frame_items import Frame
 from sal_height.engine.height_items import Heights
-from sal_height.engine.stage import Notice, Product
+from sal_height.engine.results import Notice, Product
 from sal_height.pipeline.beam_errors import BEAMS
 from sal_height.pipeline.instrument import INSTRUMENT
 from sal_height.sensor import NOTHING_STATED

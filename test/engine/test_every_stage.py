@@ -16,7 +16,8 @@ from same_items import difference
 from stage_cases import CASES, Case
 
 from sal_height.engine.dwells import EARLY_KEPT, DwellStage
-from sal_height.engine.stage import FOREVER_NS, DwellKey, Job, Loss, Result, Stage
+from sal_height.engine.results import DwellKey, Loss, Result
+from sal_height.engine.stage import FOREVER_NS, Job, Stage
 
 TIGHT = {"timeout_s": 0.3, "max_unfinished_dwells": 2, "max_memory_mb": 1}
 """Settings, where a stage has them, with which little may wait, and not for long."""

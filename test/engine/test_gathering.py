@@ -6,7 +6,7 @@ import pytest
 from helpers import assert_one_sentence, make_sensor
 
 from sal_height.engine.gathering import FINISHED_KEPT, Dwell, DwellAssembler, WaitingClock
-from sal_height.engine.stage import DwellKey as Key
+from sal_height.engine.results import DwellKey as Key
 from sal_height.errors import Rejected
 
 SENSOR = make_sensor()

@@ -8,7 +8,8 @@ from flown_items import heights_in, small_flight
 from gate import SUPPLIES, Gated
 from same_items import are_same
 
-from sal_height.engine.stage import RESETS, DwellKey, Event, Reset
+from sal_height.engine.results import DwellKey, Event
+from sal_height.engine.stage import RESETS, Reset
 from sal_height.engine.tracker import Tracker
 from sal_height.errors import Rejected
 

@@ -30,7 +30,8 @@ from sal_height.engine.calibrator import PsfCalibration
 from sal_height.engine.compression import Compression
 from sal_height.engine.dwells import SENSORS_KEPT
 from sal_height.engine.movers import MoverDetection
-from sal_height.engine.stage import Product, Stage
+from sal_height.engine.results import Product
+from sal_height.engine.stage import Stage
 from sal_height.engine.tracker import Tracker
 from sal_height.simulation import SimulatedFlight
 from sal_height.topics import ODOMETRY, SENSOR_INFO

@@ -10,7 +10,7 @@ from chained import Hosted, Joined
 
 from sal_height.engine.chain import Made
 from sal_height.engine.registry import STAGES
-from sal_height.engine.stage import Answer, FileProduct, Product
+from sal_height.engine.results import Answer, FileProduct, Product
 from sal_height.errors import UserError
 from sal_height.messages import deserialize, serialize
 from sal_height.messages.codec import SHIPPED

@@ -17,7 +17,7 @@ from test_psf_calibration import calibration_of, faulty
 
 from sal_height import messages
 from sal_height.bag.reader import BagReader
-from sal_height.engine.stage import DwellKey
+from sal_height.engine.results import DwellKey
 from sal_height.errors import UserError
 from sal_height.messages.types import Calibration as CalibrationMessage
 from sal_height.nodes.recording.recorder import Recorder

@@ -15,8 +15,9 @@ from rclpy.parameter import Parameter
 
 from sal_height.engine.dwells import SENSOR_PORT, DwellStage, WholeDwell
 from sal_height.engine.frame_items import COMPLEX_INT16, Frame
+from sal_height.engine.results import DwellKey, Result
 from sal_height.engine.settings import ChannelSettings
-from sal_height.engine.stage import DwellKey, Job, Port, Result
+from sal_height.engine.stage import Job, Port
 from sal_height.errors import Rejected
 from sal_height.nodes import worker
 from sal_height.nodes.host import node_of

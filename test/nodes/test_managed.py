@@ -16,7 +16,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
-from sal_height.engine.stage import FileProduct
+from sal_height.engine.results import FileProduct
 from sal_height.messages.types import DiagnosticArray, DiagnosticStatus, HeightImage
 from sal_height.nodes import host
 from sal_height.nodes.accounts.account import DIAGNOSTICS, Account

@@ -11,7 +11,7 @@ from rclpy.parameter import Parameter
 
 from sal_height.bag.reader import BagReader
 from sal_height.engine.chain import Chain
-from sal_height.engine.stage import Product
+from sal_height.engine.results import Product
 from sal_height.messages import kinds
 from sal_height.messages.codec import SHIPPED
 from sal_height.messages.types import HeightImage, KeyValue

@@ -18,7 +18,7 @@ from stage_graph import StageGraph
 from sal_height import messages
 from sal_height.calibration.calibration import Calibration
 from sal_height.calibration.files import load_calibration, save_calibration
-from sal_height.engine.stage import DwellKey
+from sal_height.engine.results import DwellKey
 from sal_height.errors import UserError
 from sal_height.messages.types import Calibration as CalibrationMessage
 from sal_height.messages.types import HeightImage

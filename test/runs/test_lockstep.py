@@ -21,7 +21,8 @@ from rclpy.node import Node
 from sal_height.bag.writer import BagWriter
 from sal_height.engine.heights import HeightStage
 from sal_height.engine.registry import STAGES
-from sal_height.engine.stage import Job, Result
+from sal_height.engine.results import Result
+from sal_height.engine.stage import Job
 from sal_height.errors import UserError
 from sal_height.graph import lockstep
 from sal_height.graph.lockstep import Lockstep

@@ -22,7 +22,7 @@ from sal_height.bag.compare import CHANGED, EQUAL, WITHIN, compare_bags
 from sal_height.bag.reader import BagMessage, BagReader
 from sal_height.calibration import Calibration as Measured
 from sal_height.calibration import save_calibration
-from sal_height.engine.stage import Product
+from sal_height.engine.results import Product
 from sal_height.errors import UserError
 from sal_height.messages import deserialize, sensor_from_message, serialize
 from sal_height.messages.types import Calibration, Header, HeightImage, SensorInfo, TFMessage, TransformStamped, Vector3

@@ -17,7 +17,8 @@ from sal_height.bag.reader import ALWAYS, BagReader
 from sal_height.bag.topics import stamp_ns_of
 from sal_height.commands import main
 from sal_height.engine.compression import Compression
-from sal_height.engine.stage import DwellKey, Job, Result
+from sal_height.engine.results import DwellKey, Result
+from sal_height.engine.stage import Job
 from sal_height.errors import UserError
 from sal_height.graph.ensemble import members_of
 from sal_height.graph.plan import DwellChanges, Execution, Plan

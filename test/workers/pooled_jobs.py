@@ -18,7 +18,8 @@ from typing import Any
 import numpy as np
 
 from sal_height.engine.registry import STAGES
-from sal_height.engine.stage import DwellKey, Job, Product, Rehearsal, Result, Stage, StageSettings
+from sal_height.engine.results import DwellKey, Product, Result
+from sal_height.engine.stage import Job, Rehearsal, Stage, StageSettings
 from sal_height.errors import Rejected
 from sal_height.nodes.jobs import JobQueue, QueuedJob
 from sal_height.workers.pool import Ahead, Pool, Suits

@@ -31,7 +31,8 @@ from sal_height.bag.reader import BagMessage, BagReader, LogTimes
 from sal_height.bag.topics import HEIGHT_TYPE, SENSOR_TYPE, Topic
 from sal_height.engine.air import AIR_PORTS
 from sal_height.engine.compression import SENSOR
-from sal_height.engine.stage import FOREVER_NS, DwellKey, StageSettings
+from sal_height.engine.results import DwellKey
+from sal_height.engine.stage import FOREVER_NS, StageSettings
 from sal_height.errors import UserError
 from sal_height.messages.codec import SHIPPED
 from sal_height.messages.definition import shipped_definition

@@ -27,7 +27,7 @@ from sal_height.bag.topics import HEIGHT_TYPE
 from sal_height.bag.writer import BagWriter
 from sal_height.engine.height_items import Heights
 from sal_height.engine.movers import MOVERS
-from sal_height.engine.stage import Product
+from sal_height.engine.results import Product
 from sal_height.errors import UserError
 from sal_height.graph.catalogue import ADJUSTER, HEIGHTS, NodeParameters, check_parameters
 from sal_height.graph.reporting import PARAMETERS, merged

@@ -19,7 +19,8 @@ from sal_height.bag.files import ACCOUNT
 from sal_height.bag.namespace import NamespacedReader
 from sal_height.bag.reader import BagReader, LogTimes
 from sal_height.engine.registry import STAGES, takes_heights
-from sal_height.engine.stage import RESETS, DwellKey
+from sal_height.engine.results import DwellKey
+from sal_height.engine.stage import RESETS
 from sal_height.errors import Rejected, UserError
 from sal_height.graph.catalogue import HEIGHTS, NodeParameters, parameters_of
 from sal_height.graph.plan import AsFlown

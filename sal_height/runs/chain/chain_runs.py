@@ -25,7 +25,8 @@ from sal_height.engine.chain import Chain, Made
 from sal_height.engine.compression import Compression
 from sal_height.engine.losses import Losses
 from sal_height.engine.registry import STAGES
-from sal_height.engine.stage import FOREVER_NS, DwellKey, FileProduct, Loss, Notice, Stage, reason_of
+from sal_height.engine.results import DwellKey, FileProduct, Loss, Notice, reason_of
+from sal_height.engine.stage import FOREVER_NS, Stage
 from sal_height.errors import UserError
 from sal_height.graph.catalogue import ADJUSTER, DETECTOR, NodeParameters, consumers, parameters_of
 from sal_height.graph.plan import ALL_PROCESSED, AsFlown

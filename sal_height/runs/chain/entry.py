@@ -18,7 +18,7 @@ from sal_height.elevation import ESTIMATORS
 from sal_height.engine.compression import SENSOR
 from sal_height.engine.movers import MOVERS
 from sal_height.engine.registry import STAGES
-from sal_height.engine.stage import DwellKey
+from sal_height.engine.results import DwellKey
 from sal_height.errors import UserError
 from sal_height.graph.air import air_in
 from sal_height.graph.catalogue import ADJUSTER, HEIGHTS, TRACKER, NodeParameters, suited

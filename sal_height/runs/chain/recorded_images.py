@@ -13,7 +13,7 @@ from sal_height import messages
 from sal_height.bag.reader import BagReader
 from sal_height.bag.topics import FRAME_TYPE, IMAGE_TYPE, SENSOR_TYPE
 from sal_height.engine.compression import SLC_PORT
-from sal_height.engine.stage import Product
+from sal_height.engine.results import Product
 from sal_height.errors import UserError
 from sal_height.geometry import Grid, without_range_phase
 from sal_height.imaging import azimuth_resolution

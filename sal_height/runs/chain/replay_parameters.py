@@ -13,7 +13,7 @@ from sal_height.bag.played import DwellRange
 from sal_height.bag.reader import BagReader, LogTimes
 from sal_height.engine.compression import HEARD
 from sal_height.engine.registry import STAGES
-from sal_height.engine.stage import DwellKey
+from sal_height.engine.results import DwellKey
 from sal_height.geometry import Mounting
 from sal_height.graph.air import check_air
 from sal_height.graph.catalogue import NodeParameters, parameters_of

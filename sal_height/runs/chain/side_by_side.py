@@ -20,7 +20,8 @@ from typing import Any, Self
 
 from sal_height.engine.chain import Chain, Made
 from sal_height.engine.image_items import Images
-from sal_height.engine.stage import Job, Product, Result, Stage
+from sal_height.engine.results import Product, Result
+from sal_height.engine.stage import Job, Stage
 from sal_height.errors import UserError
 from sal_height.workers.arena import Arena
 from sal_height.workers.keeper import Keeper, Spawned, no_shared_memory

@@ -22,7 +22,7 @@ from sal_height.engine.adjuster import POSE_ERROR
 from sal_height.engine.compression import HEARD, USED_MOUNTING
 from sal_height.engine.provenance import LEFT_OUT
 from sal_height.engine.registry import STAGES
-from sal_height.engine.stage import DwellKey
+from sal_height.engine.results import DwellKey
 from sal_height.errors import UserError
 from sal_height.geometry import Mounting
 from sal_height.graph.catalogue import HEIGHTS, SETTABLE

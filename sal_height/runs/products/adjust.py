@@ -24,7 +24,7 @@ from sal_height.elevation import ESTIMATORS
 from sal_height.engine.flight_adjuster import SAYS_NOTHING
 from sal_height.engine.height_items import Heights
 from sal_height.engine.image_items import Images
-from sal_height.engine.stage import DwellKey, Loss, Product
+from sal_height.engine.results import DwellKey, Loss, Product
 from sal_height.errors import Rejected, UserError
 from sal_height.geometry import PlatformState
 from sal_height.graph.catalogue import NodeParameters, check_estimator, parameters_of, suited

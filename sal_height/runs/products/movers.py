@@ -12,7 +12,7 @@ import numpy as np
 
 from sal_height.bag.described import sensors_of
 from sal_height.engine.movers import ImageMovers, MoverDetection
-from sal_height.engine.stage import DwellKey, Product
+from sal_height.engine.results import DwellKey, Product
 from sal_height.errors import UserError
 from sal_height.geometry import sphere_coordinates
 from sal_height.graph.catalogue import DETECTOR, NodeParameters, parameters_of

@@ -16,7 +16,7 @@ from sal_height.elevation import ESTIMATORS, Validity
 from sal_height.engine.frame_items import history_of
 from sal_height.engine.image_items import Images, Source
 from sal_height.engine.provenance import Provenance
-from sal_height.engine.stage import Loss, Product
+from sal_height.engine.results import Loss, Product
 from sal_height.errors import UserError
 from sal_height.geometry import Grid, Trajectory
 from sal_height.graph.catalogue import NodeParameters

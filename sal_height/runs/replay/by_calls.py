@@ -17,7 +17,8 @@ from sal_height.bag.writer import BagWriter
 from sal_height.engine.air import AIR_PARAMETERS
 from sal_height.engine.chain import Made
 from sal_height.engine.image_items import count_messages
-from sal_height.engine.stage import DwellKey, Event, Loss, Notice, Port, Product
+from sal_height.engine.results import DwellKey, Event, Loss, Notice, Product
+from sal_height.engine.stage import Port
 from sal_height.errors import UserError
 from sal_height.graph.plan import UNCOUNTED, Execution, Outcome, Plan
 from sal_height.messages.accounts import loss_to_message

@@ -10,7 +10,8 @@ import pytest
 from written_bag import frame, heights, key, lost, process, told, written
 
 from sal_height.bag.reader import LogTimes
-from sal_height.engine.stage import RESETS, DwellKey, Reset
+from sal_height.engine.results import DwellKey
+from sal_height.engine.stage import RESETS, Reset
 from sal_height.graph.plan import AsFlown
 from sal_height.runs.chain.as_flown import NOT_MADE, OF_LOAD, FlownDwells, FlownLoss, as_flown, repeated_losses
 from sal_height.runs.chain.timeline import timeline_of

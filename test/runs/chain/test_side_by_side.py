@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 from helpers import refused
 
-from sal_height.engine.stage import DwellKey, Job, Port, Product, Result, Stage, StageSettings
+from sal_height.engine.results import DwellKey, Product, Result
+from sal_height.engine.stage import Job, Port, Stage, StageSettings
 from sal_height.errors import UserError
 from sal_height.runs.chain import side_by_side
 from sal_height.runs.chain.side_by_side import AHEAD, TOGETHER, SideBySide, _together

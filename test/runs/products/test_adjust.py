@@ -19,7 +19,7 @@ from sal_height.commands import main
 from sal_height.commands.adjust import DEFAULT_SIGMA_M, LEAST_SIGMA_M, MOST_SIGMA_M
 from sal_height.elevation import ESTIMATORS
 from sal_height.engine.image_items import Images
-from sal_height.engine.stage import Product
+from sal_height.engine.results import Product
 from sal_height.geometry import sphere_coordinates
 from sal_height.graph.catalogue import parameters_of
 from sal_height.graph.reporting import PARAMETERS

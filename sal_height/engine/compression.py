@@ -79,7 +79,7 @@ class CompressionSettings(FrameSettings, AirSettings, OdometrySettings, ImageSet
     calibration: str = setting(
         "",
         "path of a calibration file, which is applied to the images and published on topic calibration; 'topic': apply "
-        "the last calibration received on topic calibration; unless the data contradict it; empty: none",
+        "the last calibration received on topic calibration, unless the data contradict it; empty: none",
         read_only=True,
         names_file=True,
     )

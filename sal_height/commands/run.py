@@ -65,10 +65,10 @@ def run(
 
     The output folder holds the recorded bag, report.json, height.png, errors.png,
     ground.png, scene3d.png, profile.png and relief_map.tif, and doubts.png if a
-    dwell is in doubt. The command ends with a table of the errors of each
-    estimator: bias, s68 (half the width between 16 % and 84 % of the errors), the
-    Cramer-Rao bound and the percentage of errors within 1 sigma. With an origin,
-    the map is in UTM.
+    dwell is in doubt. The command ends with a table of the errors of all surfaces
+    that each estimator publishes: bias, the sigma that all pixels share, s68 (half
+    the width between 16 % and 84 % of the errors), and the percentages within 1 and
+    beyond 5 sigma. With an origin, the map is in UTM.
 
     Args:
         scene: Terrain: street, woods, jacksboro_fault, or a DEM as .tif or .npz file. Default: the preset's.

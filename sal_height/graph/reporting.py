@@ -91,53 +91,72 @@ def _stage(account: Account) -> dict[str, Any]:
     }
 
 
+MOSTLY_KNOWN = 0.8
+"""Fraction of the lit pixels with a height from which on errors may be compared with the bound.
+
+Where more is refused, what is left is chosen by its errors, and may be below it.
+"""
+
+_COLUMNS = (
+    ("valid %", "valid", ".1f", 100.0),
+    ("bias m", "bias_m", "+.3g", 1.0),
+    ("common sigma m", "common_sigma_m", ".3g", 1.0),
+    ("s68 m", "s68_m", ".3g", 1.0),
+    ("within 1 sigma %", "within_1_sigma", ".1f", 100.0),
+    ("beyond 5 sigma %", "beyond_5_sigma", ".2f", 100.0),
+)
+"""Of the table of results: heading, key of the statistics, format and factor."""
+
+
 def results_table(outcome: Outcome, accuracy: Mapping[str, Mapping[str, Any]]) -> str:
     """Height images, messages dropped and, where the truth is known, the errors of each estimator.
 
-    The bound is that of the looks of a pixel; it does not apply to heights to which neighbours contribute.
-
     Args:
         outcome: outcome of the run.
-        accuracy: statistics of each estimator (`report.statistics`) by prefix of its topics; empty: no truth is known.
+        accuracy: statistics of each estimator (`surface_statistics`) by prefix of its topics; empty: no truth is known.
     """
-    heading = ["estimator", "images", "inputs dropped", "valid %", "bias m", "s68 m", "bound m", "within 1 sigma %"]
-    rows = []
+    columns = _COLUMNS if accuracy else ()
+    rows = [["estimator", "images", "dropped", *(heading for heading, *_ in columns)]]
     for node, prefix in HEIGHTS.items():
         if node in outcome.stages:
             account, errors = outcome.stages[node], accuracy.get(prefix, {})
-            rows.append(
-                [
-                    prefix,
-                    str(account.published_on.get(f"{prefix}/height", 0)),
-                    str(sum(account.dropped.values())),
-                    number_text(errors.get("valid"), ".1f", 100.0),
-                    number_text(errors.get("bias_m"), "+.4g"),
-                    number_text(errors.get("s68_m"), ".4g"),
-                    ABSENT if takes_heights(STAGES[node]) else number_text(errors.get("crb_m"), ".4g"),
-                    number_text(errors.get("within_1_sigma"), ".1f", 100.0),
-                ]
-            )
-    return aligned([heading, *rows])
+            counts = account.published_on.get(f"{prefix}/height", 0), sum(account.dropped.values())
+            numbers = (number_text(errors.get(key), form, factor) for _, key, form, factor in columns)
+            rows.append([prefix, *map(str, counts), *numbers])
+    return aligned(rows)
 
 
 def achieved(accuracy: Mapping[str, Mapping[str, Any]]) -> str:
-    """Summary of the estimator with the smallest errors, and its bound; empty without errors.
+    """Summary of the errors of the estimator with the least scatter, and its bound; empty without errors.
+
+    The bound is that of the looks of a pixel: it does not apply to heights to which neighbours contribute.
 
     Args:
-        accuracy: statistics of each estimator (`report.statistics`) by prefix of its topics.
+        accuracy: statistics of each estimator (`surface_statistics`) by prefix of its topics.
     """
-    known = {name: errors for name, errors in accuracy.items() if errors.get("s68_m") and errors.get("crb_m")}
-    bounded = [name for node, name in HEIGHTS.items() if name in known and not takes_heights(STAGES[node])]
-    if not bounded:
+    bounded = [prefix for node, prefix in HEIGHTS.items() if not takes_heights(STAGES[node])]
+    known = {prefix: accuracy[prefix] for prefix in bounded if accuracy.get(prefix, {}).get("s68_m")}
+    if not known:
         return ""
-    best = min(bounded, key=lambda name: float(known[name]["s68_m"]))
-    error, bound = (_length(float(known[best][key])) for key in ("s68_m", "crb_m"))
-    return f"Heights of {best} are right to {error} (s68); the Cramér-Rao bound of their looks is {bound}."
+    best = min(known, key=lambda name: float(known[name]["s68_m"]))
+    errors = known[best]
+    common = "" if errors["common_sigma_m"] is None else f" (stated common sigma {_length(errors['common_sigma_m'])})"
+    text = (
+        f"Heights of {best}: mean error {_length(errors['bias_m'], '+')}{common}, scatter {_length(errors['s68_m'])}, "
+        f"{100 * errors['beyond_5_sigma']:.2f} % beyond 5 sigma, in {100 * errors['valid']:.1f} % of the lit pixels."
+    )
+    alone = errors["kinds"]["OK"]["s68_m"]
+    if errors["valid"] < MOSTLY_KNOWN or not errors["crb_m"] or not alone:
+        return text
+    bound = _length(errors["crb_m"])
+    return (
+        f"{text}\nPixels with one surface scatter by {_length(alone)}; the Cramér-Rao bound of their looks is {bound}."
+    )
 
 
-def _length(metres: float) -> str:
-    """A length as people write it."""
-    return f"{1000 * metres:.1f} mm" if metres < 0.1 else f"{metres:.2f} m"
+def _length(metres: float, sign: str = "") -> str:
+    """A length as people write it; `sign`: "+" for one that has a sign."""
+    return f"{1000 * metres:{sign}.3g} mm" if abs(metres) < 0.9995 else f"{metres:{sign}.2f} m"
 
 
 def comparison_table(compared: Mapping[str, TopicComparison]) -> str:

@@ -57,8 +57,9 @@ class LitSurfaces:
     lowest: F64
     highest: F64
 
-    def columns(self, first: int, count: int) -> LitSurfaces:
-        """Those of some columns of pixels."""
+    def middle(self, count: int) -> LitSurfaces:
+        """Those of that number of columns in the middle."""
+        first = (self.height.shape[-1] - count) // 2
         return LitSurfaces(*(getattr(self, one.name)[..., first : first + count] for one in fields(self)))
 
     @property

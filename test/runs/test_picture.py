@@ -53,6 +53,7 @@ def judgement_of(place: list[list[float]], sigma: list[float], ghost: list[bool]
         place=np.array(place),
         validity=np.zeros(count, dtype=np.uint8),
         sigma=np.array(sigma),
+        common=np.zeros(count),
         nearest=np.where(ghost, np.nan, 0.1),
         own=np.full(count, 0.1),
         ghost=np.array(ghost),
@@ -69,7 +70,7 @@ def judgement_of(place: list[list[float]], sigma: list[float], ghost: list[bool]
         right=np.array([True, False, False, False]),
         silent=np.array([False, False, True, False]),
     )
-    return Judged(comparison, ground)
+    return Judged(comparison, ground, bounds=np.array([0.1]))
 
 
 def test_a_cell_shows_the_surface_nearest_to_its_middle_and_an_empty_one_why_it_is() -> None:
@@ -109,7 +110,7 @@ def errors_of(nearest: list[float], sigma: list[float]) -> PublishedErrors:
     place = np.zeros((count, 3))
     ghost = ~np.isfinite(nearest)
     off, validity = np.array(nearest), np.zeros(count, np.uint8)
-    return PublishedErrors(place, validity, np.array(sigma), off, off, ghost)
+    return PublishedErrors(place, validity, np.array(sigma), np.zeros(count), off, off, ghost)
 
 
 def test_every_published_surface_is_counted_in_the_histogram() -> None:

@@ -122,7 +122,7 @@ def _judged(scheme: ReplayPlan, made: Path) -> dict[str, Any]:
     return columns
 
 
-ACCURACY = ("valid", "two_scatterers", "bias_m", "rms_m", "s68_m", "sigma_m", "within_1_sigma", "beyond_5_sigma")
+ACCURACY = ("valid", "bias_m", "common_sigma_m", "rms_m", "s68_m", "sigma_m", "within_1_sigma", "beyond_5_sigma")
 """Numbers of the accuracy, as report.json has them, that the summary has of each estimator."""
 
 

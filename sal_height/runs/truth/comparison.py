@@ -10,7 +10,7 @@ import numpy as np
 from sal_height.elevation import Validity
 from sal_height.geometry import sphere_coordinates
 from sal_height.numeric import F64, I64, U8, Bool, Index, mean_of
-from sal_height.relief import HeightField
+from sal_height.relief import HeightField, Surface, height_variance
 from sal_height.simulation.lit_surfaces import LitSurfaces
 
 TRUE_ORDERS = ("shadow", "one", "two", "three or more", "extended")
@@ -40,6 +40,7 @@ class PublishedErrors:
         validity: validity of its pixel.
         sigma: predicted standard deviation of the error, m: of height, and of along-track position times the rise of
             the true surface, because a pixel is compared with the surfaces at its range and Doppler.
+        common: part of sigma due to errors that all pixels share, m.
         nearest: height minus that of the nearest true surface in the pixel, m; in a pixel without scatterers, of the
             surfaces in the eight pixels around it; NaN if these have no surface either. An extended surface stands for
             all of its pixel: its height minus the mean of all surfaces, weighted by their power.
@@ -51,6 +52,7 @@ class PublishedErrors:
     place: F64
     validity: U8
     sigma: F64
+    common: F64
     nearest: F64
     own: F64
     ghost: Bool
@@ -63,6 +65,12 @@ class PublishedErrors:
     def where(self, chosen: Bool) -> PublishedErrors:
         """Some of the surfaces."""
         return PublishedErrors(*(getattr(self, entry.name)[chosen] for entry in fields(self)))
+
+
+_NONE = np.zeros(0)
+
+NO_SURFACES = PublishedErrors(np.zeros((0, 3)), _NONE.astype(np.uint8), _NONE, _NONE, _NONE, _NONE, _NONE.astype(bool))
+"""The errors of height images in which nothing is published."""
 
 
 def joined_errors(parts: Sequence[PublishedErrors]) -> PublishedErrors:
@@ -115,7 +123,7 @@ def compare(field: HeightField, truth: LitSurfaces, beamwidth: float) -> Surface
         beamwidth: beamwidth of the detectors, rad.
     """
     reach = (truth.rise.shape[2] - field.grid.cols) // 2
-    rows, truth = truth, truth.columns(reach, field.grid.cols)
+    rows, truth = truth, truth.middle(field.grid.cols)
     order, shadow = true_order(truth, beamwidth), truth.shadow
     # An extended surface has one option, the mean; it uses up all surfaces of the pixel.
     whole = (field.validity == Validity.EXTENDED) & np.isfinite(truth.height[0])
@@ -140,6 +148,7 @@ def compare(field: HeightField, truth: LitSurfaces, beamwidth: float) -> Surface
                 place=np.stack(sphere_coordinates(surface.positions[there]), axis=-1),
                 validity=field.validity[there],
                 sigma=np.sqrt(surface.sigma**2 + by_place)[there],
+                common=_common_sigma(surface)[there],
                 nearest=nearest[there],
                 own=own[there],
                 ghost=shadow[there],
@@ -159,6 +168,14 @@ def compare(field: HeightField, truth: LitSurfaces, beamwidth: float) -> Surface
         ghosts=int(np.count_nonzero(shadow & valid)),
         confusion=_confusion(order[lit | shadow], field.validity[lit | shadow]),
     )
+
+
+def _common_sigma(surface: Surface) -> F64:
+    """Part of sigma due to errors that all pixels share, m, shape (rows, cols); NaN where it is not known."""
+    if surface.common_covariance is None:
+        return np.full_like(surface.sigma, np.nan)
+    with np.errstate(invalid="ignore"):
+        return np.sqrt(height_variance(surface.common_covariance, surface.positions))
 
 
 def true_order(truth: LitSurfaces, beamwidth: float) -> I64:

@@ -30,7 +30,7 @@ from sal_height.graph.picture import (
 from sal_height.numeric import F64, I64, Bool
 from sal_height.relief import GroundEstimate, GroundKind
 from sal_height.runs.truth.comparison import PublishedErrors
-from sal_height.runs.truth.height_picture import height_limits
+from sal_height.runs.truth.height_picture import error_limit, height_limits
 from sal_height.runs.truth.report import TrueGround
 from sal_height.runs.truth.surface_report import Judged
 from sal_height.simulation import Preset
@@ -101,7 +101,7 @@ def draw_ground(estimate: GroundEstimate, truth: TrueGround, path: Path) -> None
     extent = (west * factor, west * factor + cols * size, south * factor, south * factor + rows * size)
     how: dict[str, Any] = {"extent": extent, "origin": "lower", "interpolation": "nearest"}
     error = np.where(truth.lit, estimate.height - truth.height, np.nan)
-    worst = 5 * float(np.nanmedian(estimate.sigma))
+    worst = error_limit(error)
     lit = np.where(truth.lit, truth.height, np.nan)
     heights, errors = Normalize(*height_limits(lit, worst)), Normalize(-worst, worst)
     steps = estimate.cell_size, estimate.cell_size

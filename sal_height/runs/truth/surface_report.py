@@ -1,4 +1,4 @@
-"""Part of report.json on published surfaces: errors by kind of pixel, ghosts, confusion, and the lit ground.
+"""Errors of published surfaces as report.json, tables and pictures state them: by kind of pixel, and the lit ground.
 
 Nothing that is published remains uncounted: each surface of each pixel with a height is in one of the kinds.
 """
@@ -13,22 +13,24 @@ import numpy as np
 from tqdm import tqdm
 
 from sal_height import messages
-from sal_height.beams import Beams
-from sal_height.elevation import USABLE, Validity
+from sal_height.beams import Beams, column_squint
+from sal_height.elevation import USABLE, Validity, speckle_crb
 from sal_height.geometry import ApertureState
 from sal_height.imaging import azimuth_resolution, image_beams
 from sal_height.io import or_null
 from sal_height.messages.types import HeightImage
-from sal_height.numeric import F64, Bool, Index, error_statistics, fraction_of
+from sal_height.numeric import F64, Bool, Index, error_statistics, fraction_of, mean_of
 from sal_height.relief import HeightField
 from sal_height.runs.truth.comparison import (
     FOUND_ORDERS,
+    NO_SURFACES,
     TRUE_ORDERS,
     PublishedErrors,
     SurfaceComparison,
     compare,
     joined_comparisons,
     reach_along,
+    true_order,
 )
 from sal_height.simulation import SimulatedFlight, VisibleSurface
 from sal_height.simulation.lit_surfaces import CONNECTED, GroundCells, LitSurfaces, ground_cells, lit_surfaces
@@ -36,7 +38,7 @@ from sal_height.simulation.lit_surfaces import CONNECTED, GroundCells, LitSurfac
 TOLERANCE_BEAMWIDTHS = 0.11
 """Error, across the line of sight, up to which a height is called right: 6 cm of height in sal_spotlight."""
 
-COVERAGE = ("bias_m", "median_m", "s68_m", "sigma_m", "within_1_sigma", "within_2_sigma", "beyond_5_sigma")
+COVERAGE = ("bias_m", "rms_m", "median_m", "s68_m", "sigma_m", "within_1_sigma", "within_2_sigma", "beyond_5_sigma")
 """Entries of a report on errors of surfaces and of the ground."""
 
 CELL_PIXELS = 0.5
@@ -79,10 +81,17 @@ class GroundCoverage:
 
 @dataclass(frozen=True, eq=False)
 class Judged:
-    """The height images of one estimator against the truth: pixels with published surfaces, and lit ground."""
+    """The height images of one estimator against the truth.
+
+    Attributes:
+        comparison: every published surface against the lit surfaces.
+        ground: the ground within reach of the images.
+        bounds: Cramér-Rao bound averaged over speckle, m, of each pixel that has one surface and is found so.
+    """
 
     comparison: SurfaceComparison
     ground: GroundCoverage
+    bounds: F64
 
 
 def height_beamwidth(flight: SimulatedFlight) -> float:
@@ -139,7 +148,7 @@ def judged(images: Sequence[HeightImage], flight: SimulatedFlight, surfaces: Map
     spacing = images[0].grid
     size = float(max(spacing.row_spacing / np.sin(track.look_angle_rad), spacing.col_spacing)) * CELL_PIXELS
     tolerance = float(TOLERANCE_BEAMWIDTHS * across)
-    comparisons, seen = [], []
+    comparisons, seen, bounds = [], [], []
     for image in tqdm(images, desc=f"truth of {images[0].estimator}", unit="image", delay=1, leave=False):
         field, published_as = messages.field_from_message(image), messages.aperture_from_message(image.aperture)
         flown, aperture = as_flown(field, published_as, flight, image.dwell)
@@ -147,10 +156,38 @@ def judged(images: Sequence[HeightImage], flight: SimulatedFlight, surfaces: Map
         surface = surfaces[image.dwell]
         truth = true_surfaces(flown, aperture, beams, flight, surface)
         comparisons.append(compare(field, truth, sensor.beamwidth))
+        of_pixels = truth.middle(field.grid.cols)
+        bound = height_bound(of_pixels, flown, aperture, beams, flight, image.range_looks * image.azimuth_looks)
+        one = true_order(of_pixels, sensor.beamwidth) == TRUE_ORDERS.index("one")
+        bounds.append(bound[one & (field.validity == Validity.OK)])
         cells = ground_cells(flight.scene, surface, aperture, flown.grid, beams, sensor.look_side, size)
         silent = np.isin(field.validity, (Validity.NO_SIGNAL, Validity.LOW_CNR))[*cells.pixel.T]
         seen.append((cells, _is_right(field, cells, tolerance), silent))
-    return Judged(joined_comparisons(comparisons), _coverage(seen, size, tolerance))
+    return Judged(joined_comparisons(comparisons), _coverage(seen, size, tolerance), np.concatenate(bounds))
+
+
+def height_bound(
+    truth: LitSurfaces, field: HeightField, aperture: ApertureState, beams: Beams, flight: SimulatedFlight, looks: int
+) -> F64:
+    """Cramér-Rao bound of the height of the strongest surface of each pixel, if it were alone, averaged over speckle.
+
+    Args:
+        truth: lit surfaces of the pixels.
+        field: height image, with its grid as it was flown.
+        aperture: its aperture, as it was flown.
+        beams: beams of the image.
+        flight: flight that was simulated.
+        looks: number of looks of a pixel.
+
+    Returns:
+        Standard deviations, m, shape (rows, cols); NaN where nothing is lit, infinite for a single look.
+    """
+    track, sensor = flight.preset.flight, flight.sensor
+    height_slope = track.slant_range_m * np.sin(track.look_angle_rad)  # of height over elevation, m/rad
+    cnr = 10 ** (flight.preset.cnr_db / 10) * truth.power[0]
+    squint = column_squint(field.grid, aperture, sensor.beams, sensor.look_side)
+    with np.errstate(invalid="ignore"):  # where nothing is lit
+        return height_slope * speckle_crb(beams, truth.elevation[0], squint, cnr, looks)
 
 
 def _is_right(field: HeightField, cells: GroundCells, tolerance: float) -> Bool:
@@ -184,35 +221,42 @@ def _coverage(seen: Sequence[tuple[GroundCells, Bool, Bool]], size: float, toler
     )
 
 
-def surface_statistics(judgement: Judged) -> dict[str, Any]:
-    """Part `surfaces` of an estimator's report: errors of all published surfaces and of each kind, and the lit ground.
+def surface_statistics(judgement: Judged | None) -> dict[str, Any]:
+    """Entry of report.json on an estimator; None: it has published no image.
 
-    `valid`: fraction of the lit pixels inside the array with a height; `missed`: fraction of the lit surfaces of which
-    none is published; `ghosts_in_shadow`: fraction of the pixels in shadow with a height; `confusion`: pixels by what
-    they contain (rows) and what was found; `ground`: `GroundCoverage.shares`.
+    `valid`: fraction of the lit pixels inside the array with a height; errors of all published surfaces (`_errors`);
+    `crb_m`: mean Cramér-Rao bound averaged over speckle of the pixels that have one surface and are found so, m;
+    `missed`: fraction of the lit surfaces of which none is published; `ghosts_in_shadow`: fraction of the pixels in
+    shadow with a height; `kinds`: the errors by validity; `confusion`: pixels by what they contain (rows) and what was
+    found; `lit_ground`: `GroundCoverage.shares`. Numbers that do not exist are None.
     """
+    if judgement is None:
+        return {"valid": 0.0, **_errors(NO_SURFACES), "crb_m": None}
     result, ground = judgement.comparison, judgement.ground
     kinds = {value.name: result.errors.where(result.errors.validity == value) for value in map(Validity, USABLE)}
     return {
         "valid": or_null(fraction_of(result.valid, result.pixels)),
+        **_errors(result.errors),
+        "crb_m": or_null(mean_of(judgement.bounds)),
         "missed": or_null(fraction_of(result.missed, result.surfaces)),
         "ghosts_in_shadow": or_null(fraction_of(result.ghosts, result.shadow)),
-        "all": _errors(result.errors),
-        **{name: _errors(errors) for name, errors in kinds.items()},
+        "kinds": {name: _errors(errors) for name, errors in kinds.items()},
         "confusion": {"true": list(TRUE_ORDERS), "found": list(FOUND_ORDERS), "pixels": result.confusion.tolist()},
-        "ground": {"cell_m": ground.size, "tolerance_m": ground.tolerance, **ground.shares},
+        "lit_ground": {"cell_m": ground.size, "tolerance_m": ground.tolerance, **ground.shares},
     }
 
 
 def _errors(errors: PublishedErrors) -> dict[str, Any]:
     """Number of surfaces, number of those in shadow, and errors of the others from the nearest true surface.
 
-    `own_beyond_5_sigma` is the fraction that is farther than 5 sigma from the surface it should be, or has none.
+    `common_sigma_m` is the mean of that part of sigma which all pixels share, m. `own_beyond_5_sigma` is the fraction
+    that is farther than 5 sigma from the surface it should be, or has none.
     """
     near = errors.where(np.isfinite(errors.nearest))
     return {
         "surfaces": len(errors.sigma),
         "in_shadow": int(np.count_nonzero(errors.ghost)),
         **error_statistics(near.nearest, near.sigma).in_metres(COVERAGE),
+        "common_sigma_m": or_null(mean_of(near.common)),
         "own_beyond_5_sigma": or_null(near.own_beyond_5_sigma),
     }

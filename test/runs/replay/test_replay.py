@@ -94,15 +94,13 @@ def test_the_tables_say_what_came_out(
     rows = {line[0]: line[1:] for line in lines if line}
     accuracy = json.loads((recorded / "report.json").read_text())["estimators"]["monopulse"]
     assert rows["monopulse"][:3] == ["2", "0", f"{100 * accuracy['valid']:.1f}"]
-    assert float(rows["monopulse"][3]) == pytest.approx(accuracy["bias_m"], rel=1e-3)
-    assert float(rows["monopulse"][4]) == pytest.approx(accuracy["s68_m"], rel=1e-3)
-    assert float(rows["monopulse"][5]) == pytest.approx(accuracy["crb_m"], rel=1e-3)
+    assert float(rows["monopulse"][3]) == pytest.approx(accuracy["bias_m"], rel=5e-3)
+    assert rows["monopulse"][4] == "-"  # no error is stated that all pixels share
+    assert float(rows["monopulse"][5]) == pytest.approx(accuracy["s68_m"], rel=5e-3)
     assert float(rows["monopulse"][6]) == pytest.approx(100 * accuracy["within_1_sigma"], abs=0.05)
-    assert rows["ml"] == ["2", "0", "0.0", "-", "-", "-", "-"]
-    assert (rows["tracked"][4] != "-", rows["tracked"][5]) == (
-        True,
-        "-",
-    )  # neighbours help, which the bound does not know
+    assert float(rows["monopulse"][7]) == pytest.approx(100 * accuracy["beyond_5_sigma"], abs=0.005)
+    assert rows["ml"] == ["2", "0", "0.0", "-", "-", "-", "-", "-"]
+    assert float(rows["tracked"][5]) > 0
     assert rows["/monopulse/height"][:4] == ["equal", "2", "0", "0"]
     assert rows["/monopulse/height"][5:] == ["0", "0"]
     assert int(rows["/monopulse/height"][4]) > 200

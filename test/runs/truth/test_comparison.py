@@ -110,7 +110,8 @@ def test_what_may_be_elsewhere_in_its_row_is_compared_with_what_is_lit_there() -
     numbers = (values[:, :3] for values in vars(field.first).values() if values is not None)
     grid, validity = replace(field.grid, cols=3), field.validity[:, :3]
     field = HeightField(grid, validity, (Surface(*numbers),))
-    truth = truth_of((0.0,), (0.0,), (0.0,), (0.0,), (0.0,), (0.0,), (2.0,)).columns(0, 7)
+    truth = truth_of((0.0,), (0.0,), (0.0,), (0.0,), (0.0,), (0.0,), (2.0,))
+    truth = LitSurfaces(*(values[..., :7] for values in vars(truth).values()))
     result = compare(field, truth, BEAMWIDTH)
     np.testing.assert_allclose(result.errors.nearest, [2.0, 2.5, -0.1])
     assert not result.errors.ghost.any()

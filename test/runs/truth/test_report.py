@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import copy
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -25,8 +25,8 @@ from sal_height.relief import GroundEstimate, GroundKind
 from sal_height.relief.heights import HeightField, Surface
 from sal_height.runs.truth.comparison import PublishedErrors, compare
 from sal_height.runs.truth.pictures import draw_ground
-from sal_height.runs.truth.report import TrueGround, ground_statistics, mosaic, read_accuracy, statistics
-from sal_height.runs.truth.surface_report import as_flown, true_surfaces
+from sal_height.runs.truth.report import TrueGround, ground_statistics, read_accuracy
+from sal_height.runs.truth.surface_report import as_flown, height_bound, judged, surface_statistics, true_surfaces
 from sal_height.simulation import flight_of, load_preset
 from sal_height.simulation.flight import SimulatedFlight
 from sal_height.simulation.impairments import Impairments
@@ -152,78 +152,55 @@ def exact_image(flight: SimulatedFlight, dwell: int, error: float) -> HeightImag
     return image
 
 
-def test_exact_heights_of_a_strip_have_the_error_that_was_added_and_join(flight: SimulatedFlight) -> None:
-    dwells = (3, 4, 5)
-    images = [exact_image(flight, dwell, 0.25) for dwell in dwells]
+def statistics_of(images: list[HeightImage], flight: SimulatedFlight) -> dict[str, Any]:
+    """Entry of the report on images of the flight."""
+    return surface_statistics(judged(images, flight, {image.dwell: flight.surface(image.dwell) for image in images}))
+
+
+def test_the_errors_of_a_strip_are_those_that_were_added(flight: SimulatedFlight) -> None:
+    images = [exact_image(flight, dwell, 0.25) for dwell in (3, 4, 5)]
     assert all(image.aperture.sliding for image in images)
-    result = mosaic(images, flight, {dwell: flight.surface(dwell) for dwell in dwells})
-    numbers = statistics(result)
-    assert numbers["bias_m"] == pytest.approx(0.25, abs=1e-5)
-    assert numbers["rms_m"] == pytest.approx(0.25, abs=1e-5)
-    assert numbers["cells"] > 200
-    assert numbers["ghost_pixels"] == 0
-    step = 1.5 * images[0].grid.col_spacing
-    assert (result.error.shape[1] - 1) * step == pytest.approx(3 * 0.64, abs=0.15)
-    whole = np.isfinite(result.error).mean(axis=1) > 0
-    assert np.isfinite(result.error[whole][1:-1]).all()  # no seam between two images
+    numbers = statistics_of(images, flight)
+    assert numbers["bias_m"] == pytest.approx(0.25, abs=2e-4)
+    assert numbers["rms_m"] == pytest.approx(0.25, abs=2e-4)
+    assert numbers["s68_m"] < 2e-3
+    assert numbers["beyond_5_sigma"] == 1.0
+    assert numbers["surfaces"] == numbers["kinds"]["OK"]["surfaces"] > 400
+    assert numbers["in_shadow"] == 0
+    assert numbers["valid"] > 0.95
+    assert numbers["common_sigma_m"] is None
 
 
-def test_bound_of_a_strip_knows_that_every_column_is_seen_from_abeam(flight: SimulatedFlight) -> None:
+def test_an_estimator_without_images_has_no_errors() -> None:
+    numbers = surface_statistics(None)
+    assert (numbers["valid"], numbers["surfaces"], numbers["s68_m"], numbers["crb_m"]) == (0.0, 0, None, None)
+
+
+def test_the_bound_of_a_strip_knows_that_every_column_is_seen_from_abeam(flight: SimulatedFlight) -> None:
     """From the middle of the image its sides lie 0.38 beamwidths off, where the amplitude is sinc(0.38) = 0.78."""
-    image = exact_image(flight, 4, 0.0)
-    bounds = []
-    for sliding in (True, False):
-        image.aperture.sliding = sliding
-        bounds.append(mosaic([image], flight, {4: flight.surface(4)}).bound)
-    ratio = bounds[1] / bounds[0]
+    image, surface = exact_image(flight, 4, 0.0), flight.surface(4)
+    sliding = messages.aperture_from_message(image.aperture)
+    field, beams = messages.field_from_message(image), image_beams(flight.sensor, "taylor")
+    truth = true_surfaces(field, sliding, beams, flight, surface)
+    looks = image.range_looks * image.azimuth_looks
+    abeam, from_the_middle = (
+        height_bound(truth, field, aperture, beams, flight, looks)
+        for aperture in (sliding, replace(sliding, sliding=False))
+    )
+    ratio = from_the_middle / abeam
     row = ratio[np.isfinite(ratio).all(axis=1)]
     assert len(row) > 5
     np.testing.assert_allclose(row[:, [0, -1]], 1 / np.sinc(0.36), rtol=0.07)
     np.testing.assert_allclose(row[:, row.shape[1] // 2], 1, rtol=0.03)
 
 
-def test_cells_of_tracked_heights_are_as_sure_as_one_pixel(flight: SimulatedFlight) -> None:
-    """Others have the sigma of a mean of independent pixels, which are one to four in a cell."""
+def test_the_error_that_pixels_share_is_stated_beside_their_bias(flight: SimulatedFlight) -> None:
     image = exact_image(flight, 4, 0.0)
-    sigmas = {}
-    for estimator in ("ml", "tracked"):
-        image.estimator = estimator
-        sigma = mosaic([image], flight, {4: flight.surface(4)}).sigma
-        sigmas[estimator] = sigma[np.isfinite(sigma)]
-    np.testing.assert_allclose(sigmas["tracked"], 0.01, rtol=1e-6)
-    counts = (0.01 / sigmas["ml"]) ** 2
-    np.testing.assert_allclose(counts, np.rint(counts), atol=1e-3)
-    assert counts.max() > 1.5
-
-
-def copied(image: HeightImage, dwell: int) -> HeightImage:
-    """The image as one of another dwell."""
-    other = copy.copy(image)
-    other.dwell = dwell
-    return other
-
-
-def test_what_pose_leaves_is_not_averaged_away(flight: SimulatedFlight) -> None:
-    """Two dwells alike, and an error of 3 cm that all pixels share: half of the own variance, and all of it."""
-    image, dwells = exact_image(flight, 4, 0.0), dict.fromkeys((4, 5), flight.surface(4))
-    own = mosaic([image, copied(image, 5)], flight, dwells).sigma
     first = image.surfaces[0]
     common = np.zeros((len(first.height), 6), np.float32)
     common[:, 5] = np.where(np.isnan(first.height), np.nan, 0.03**2)
     first.common_covariance = to_floats(common)
-    first.sigma = to_floats(np.hypot(np.asarray(first.sigma), 0.03))
-    seen = np.isfinite(own)
-    together = mosaic([image, copied(image, 5)], flight, dwells).sigma
-    np.testing.assert_allclose(together[seen], np.hypot(own[seen], 0.03), rtol=1e-4)
-    assert own[seen].max() < 0.0072
-
-
-def test_a_dwell_that_a_source_repeats_is_averaged_once(flight: SimulatedFlight) -> None:
-    image, dwells = exact_image(flight, 4, 0.25), {4: flight.surface(4)}
-    once, twice = (mosaic([image] * count, flight, dwells) for count in (1, 2))
-    np.testing.assert_array_equal(twice.sigma, once.sigma)
-    np.testing.assert_array_equal(twice.bound, once.bound)
-    np.testing.assert_array_equal(twice.error, once.error)
+    assert statistics_of([image], flight)["common_sigma_m"] == pytest.approx(0.03, rel=1e-3)
 
 
 def test_a_flight_beside_the_scene_is_refused_at_its_first_dwell(flight: SimulatedFlight) -> None:

@@ -19,6 +19,9 @@ TRUE_ORDERS = ("shadow", "one", "two", "three or more", "extended")
 FOUND_ORDERS = ("no signal", "refused", "one", "two", "three", "extended", "interpolated")
 """Contents of a pixel according to a height image: columns of the confusion table."""
 
+EXTENDED_BEAMWIDTHS = 0.1
+"""Standard deviation of the elevations of its scatterers from which on a surface is extended, beamwidths."""
+
 _FOUND = {
     Validity.LOW_CNR: 0,
     Validity.NO_SIGNAL: 0,
@@ -39,11 +42,13 @@ class PublishedErrors:
         place: arc distances east and north from the map's origin and height above the sphere, m, shape (surfaces, 3).
         validity: validity of its pixel.
         sigma: predicted standard deviation of the error, m: of height, and of along-track position times the rise of
-            the true surface, because a pixel is compared with the surfaces at its range and Doppler.
+            the true surface, because a pixel is compared with the surfaces at its range and Doppler; of what is
+            published as extended, with its spread.
         common: part of sigma due to errors that all pixels share, m.
         nearest: height minus that of the nearest true surface in the pixel, m; in a pixel without scatterers, of the
-            surfaces in the eight pixels around it; NaN if these have no surface either. An extended surface stands for
-            all of its pixel: its height minus the mean of all surfaces, weighted by their power.
+            surfaces in the eight pixels around it; NaN if these have no surface either. A surface that extends over
+            elevations, such as a crown, has all heights between its scatterers. What is published as extended stands
+            for all of its pixel: its height minus the mean of all surfaces, weighted by their power.
         own: height minus that of the true surface it should be, m: the strongest chooses the nearest, the others the
             nearest of the rest; NaN where nothing is left.
         ghost: True where neither the pixel nor a neighbour has a lit surface.
@@ -129,32 +134,35 @@ def compare(field: HeightField, truth: LitSurfaces, beamwidth: float) -> Surface
     whole = (field.validity == Validity.EXTENDED) & np.isfinite(truth.height[0])
     heights = np.where(whole, np.nan, truth.height)
     heights[0] = np.where(whole, truth.mean_height, heights[0])
+    reaches = _reaches(truth, beamwidth) * ~whole
     candidates, rises, free = _candidates(heights), _candidates(truth.rise), heights
+    extents = np.stack([_candidates(bound) for bound in reaches])
     along, parts = field.grid.col_direction, []
     if reach:
         shadow = np.broadcast_to(rows.shadow.all(axis=1, keepdims=True), shadow.shape)
     for surface in field.surfaces:
         there = np.isfinite(surface.height)
-        index, nearest = _nearest(candidates, surface.height)
+        index, nearest = _nearest(candidates, extents, surface.height)
         rise = np.take_along_axis(rises, index, axis=0)[0]
-        own = _nearest(free, surface.height)[1]
+        own = _nearest(free, reaches, surface.height)[1]
         if reach:
-            elsewhere, rise_there = _nearest_in_row(rows, surface.height)
+            elsewhere, rise_there = _nearest_in_row(rows, _reaches(rows, beamwidth), surface.height)
             rise = np.where(_is_nearer(elsewhere, nearest), rise_there, rise)
             nearest, own = (np.where(_is_nearer(elsewhere, one), elsewhere, one) for one in (nearest, own))
+        spread = np.where(field.validity == Validity.EXTENDED, surface.spread, 0.0)
         by_place = np.nan_to_num(rise**2 * (along @ surface.covariance @ along))
         parts.append(
             PublishedErrors(
                 place=np.stack(sphere_coordinates(surface.positions[there]), axis=-1),
                 validity=field.validity[there],
-                sigma=np.sqrt(surface.sigma**2 + by_place)[there],
+                sigma=np.sqrt(surface.sigma**2 + by_place + spread**2)[there],
                 common=_common_sigma(surface)[there],
                 nearest=nearest[there],
                 own=own[there],
                 ghost=shadow[there],
             )
         )
-        free = _without_nearest(free, surface.height)
+        free = _without_nearest(free, reaches, surface.height)
 
     valid = np.isfinite(field.first.height)
     lit = truth.count > 0
@@ -182,7 +190,7 @@ def true_order(truth: LitSurfaces, beamwidth: float) -> I64:
     """Number in TRUE_ORDERS of the contents of each pixel, -1 for one without scatterers that is not in shadow."""
     one, three = TRUE_ORDERS.index("one"), TRUE_ORDERS.index("three or more")
     several = np.minimum(truth.count - 1 + one, three)
-    wide = (truth.count == 1) & (truth.spread[0] >= 0.1 * beamwidth)  # an extended surface
+    wide = (truth.count == 1) & (truth.spread[0] >= EXTENDED_BEAMWIDTHS * beamwidth)
     return np.select(
         [truth.shadow, wide, truth.count > 0], [TRUE_ORDERS.index("shadow"), TRUE_ORDERS.index("extended"), several], -1
     ).astype(np.int64)
@@ -202,14 +210,24 @@ def reach_along(field: HeightField) -> int:
     return int(3 * np.sqrt(np.concatenate(variance).max(initial=0.0)) / field.grid.col_spacing)
 
 
-def _nearest_in_row(rows: LitSurfaces, height: F64) -> tuple[F64, F64]:
+def _reaches(truth: LitSurfaces, beamwidth: float) -> F64:
+    """Lowest and highest scatterer of each surface over its plane, m, shape (2, surfaces, rows, cols).
+
+    Zeros for surfaces that do not extend over elevations; NaN where there is none.
+    """
+    wide = truth.spread >= EXTENDED_BEAMWIDTHS * beamwidth
+    return np.where(wide, np.stack([truth.lowest, truth.highest]), 0 * truth.height)
+
+
+def _nearest_in_row(rows: LitSurfaces, reaches: F64, height: F64) -> tuple[F64, F64]:
     """Height minus that of the nearest surface within reach in the row, m, and the rise there; NaN without any."""
     error, rise = np.full((2, *height.shape), np.nan)
     reach = (rows.height.shape[2] - height.shape[1]) // 2
     for row, published in enumerate(height):
         col, number = np.nonzero(np.isfinite(rows.height[:, row]).T)
         away = np.abs(col - reach - np.arange(len(published))[:, None])
-        errors = np.where(away <= reach, published[:, None] - rows.height[number, row, col], np.inf)
+        off = published[:, None] - rows.height[number, row, col]
+        errors = np.where(away <= reach, off - np.clip(off, *reaches[:, number, row, col]), np.inf)
         if len(col):
             there, nearest = np.arange(len(published)), np.argmin(np.abs(errors), axis=1)
             error[row], rise[row] = errors[there, nearest], rows.rise[number, row, col][nearest]
@@ -230,17 +248,21 @@ def _candidates(heights: F64) -> F64:
     return np.concatenate([heights, np.where(empty, np.concatenate(around), np.nan)])
 
 
-def _nearest(options: F64, height: F64) -> tuple[Index, F64]:
-    """Index of the option nearest to each height, and the height minus it (m); NaN without any option."""
-    error = height - options
+def _nearest(options: F64, reaches: F64, height: F64) -> tuple[Index, F64]:
+    """Index of the option nearest to each height, and the height minus it (m); NaN without any option.
+
+    Options reach from the first of `reaches` below them to the second above them, both of the shape of the options.
+    """
+    off = height - options
+    error = off - np.clip(off, *reaches)
     index = np.argmin(np.where(np.isfinite(error), np.abs(error), np.inf), axis=0)[None]
     return index, np.take_along_axis(error, index, axis=0)[0]
 
 
-def _without_nearest(options: F64, height: F64) -> F64:
+def _without_nearest(options: F64, reaches: F64, height: F64) -> F64:
     """The options without those that are nearest to the heights."""
     left = options.copy()
-    index, error = _nearest(options, height)
+    index, error = _nearest(options, reaches, height)
     kept = np.take_along_axis(options, index, axis=0)[0]
     np.put_along_axis(left, index, np.where(np.isfinite(error), np.nan, kept)[None], axis=0)
     return left

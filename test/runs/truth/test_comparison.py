@@ -137,3 +137,19 @@ def test_what_may_be_elsewhere_in_an_empty_row_is_compared_as_if_it_were_not() -
         (Surface(*(values[:, 1:8] for values in vars(field.first).values() if values is not None)),),
     )
     np.testing.assert_allclose(compare(middle, truth, BEAMWIDTH).errors.nearest, 0.1)
+
+
+def test_a_crown_has_all_heights_between_its_scatterers() -> None:
+    """From 1 to 4 m: heights within are right, those above are compared with its top; a roof has one height."""
+    field = field_of([Validity.TWO_SCATTERERS] * 2, [3.5, 3.5], [4.5, 4.5])
+    for wide, errors in ((True, [0.0, 0.0, 0.5, 0.5]), (False, [1.5, 1.5, 2.5, 2.5])):
+        truth = truth_of((2.0,), (2.0,), wide=wide)
+        truth = replace(truth, lowest=truth.height - 3.0, highest=truth.height)
+        np.testing.assert_allclose(compare(field, truth, BEAMWIDTH).errors.nearest, errors)
+
+
+def test_what_is_extended_is_as_sure_as_its_spread() -> None:
+    field = field_of([Validity.EXTENDED, Validity.OK], [1.0, 1.0])
+    field = replace(field, surfaces=(replace(field.first, spread=0 * field.first.height + 0.2),))
+    result = compare(field, truth_of((1.1,), (1.1,)), BEAMWIDTH)
+    np.testing.assert_allclose(result.errors.sigma, [np.hypot(0.1, 0.2), 0.1])

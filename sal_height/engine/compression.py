@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import replace
-from functools import lru_cache
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -35,13 +33,20 @@ from sal_height.engine.calibrations import (
 )
 from sal_height.engine.dwells import SENSOR_PORT, SENSORS_KEPT, DwellStage, WholeDwell
 from sal_height.engine.frame_items import Frame, check_frame, history_of, samples_in_line, stacked_samples
-from sal_height.engine.frames import StaticFrames, StaticTransform
 from sal_height.engine.gathering import Dwell
 from sal_height.engine.image_items import AIR_LEFT, AIR_REMOVED, Images, Source
 from sal_height.engine.kept import Kept, RecentValues
+from sal_height.engine.mountings import (
+    NO_MOUNTING,
+    TRANSFORM_PORT,
+    Mountings,
+    MountingSettings,
+    mounted,
+    stated_mounting,
+)
 from sal_height.engine.provenance import of_compression
 from sal_height.engine.results import DwellKey, Event, Notice, Product, Result
-from sal_height.engine.settings import ChannelSettings, FrameSettings, processing_of
+from sal_height.engine.settings import ChannelSettings, processing_of
 from sal_height.engine.stage import FOREVER_NS, Decision, FileInput, Job, Port
 from sal_height.engine.track import Arrival, OdometryHistory, OdometrySettings, Samples, longest_gap_s
 from sal_height.errors import Rejected, UserError
@@ -64,16 +69,13 @@ SLC_PORT = Port(SLC, Images, "complex image of one channel and dwell in each mes
 HEARD = "topic"
 """Value of the parameter calibration: apply the calibration that arrives on the topic calibration."""
 
-ODOMETRY_GAP, NO_AIR, NO_MOUNTING = "odometry gap", "no air", "no mounting"
+ODOMETRY_GAP, NO_AIR = "odometry gap", "no air"
 """Reasons for which a dwell waits."""
-
-USED_MOUNTING = "used_mounting"
-"""Prefix of the names, in addition to the parameters of the compression, of a mounting not that of sensor_info."""
 
 NOT_TRUSTED = "autofocus found no phase error that it can trust; the image is focused with the odometry alone."
 
 
-class CompressionSettings(FrameSettings, AirSettings, OdometrySettings, ImageSettings, ChannelSettings):
+class CompressionSettings(MountingSettings, AirSettings, OdometrySettings, ImageSettings, ChannelSettings):
     """Settings of the images, and the others that the stage needs."""
 
     calibration: str = setting(
@@ -82,12 +84,6 @@ class CompressionSettings(FrameSettings, AirSettings, OdometrySettings, ImageSet
         "the last calibration received on topic calibration, unless the data contradict it; empty: none",
         read_only=True,
         names_file=True,
-    )
-    mounting_from_tf: bool = setting(
-        False,
-        "take the place of the sensor on the platform from /tf_static, where frame_id of its mounting is to be found, "
-        "and not from sensor_info",
-        read_only=True,
     )
 
 
@@ -131,10 +127,9 @@ class Compression(DwellStage):
         self._received = ChosenCalibrations()
         if self._of_file:
             self._received.receive(self._of_file)
-        self._frames = StaticFrames()
+        self._mountings = Mountings()
         self._air = AirHistory()
         self._awaits_air = False
-        self._mountings: dict[str, Mounting] = {}
         self._applied_from: dict[str, Sequence[DwellKey]] = {}
         """Dwells from which on calibrations are applied, by their identity; empty once they have arrived."""
         # The heavy side.
@@ -157,8 +152,7 @@ class Compression(DwellStage):
                 CALIBRATION_PORT._replace(about="calibration to apply, only if the parameter calibration is topic")
             )
         if settings.mounting_from_tf:
-            about = "frame of the sensor on the platform, only if the parameter mounting_from_tf is true"
-            ports.append(Port(TF_STATIC, StaticTransform, about, latched=True))
+            ports.append(TRANSFORM_PORT)
         return ports
 
     @classmethod
@@ -196,7 +190,7 @@ class Compression(DwellStage):
 
     def state_mounting(self, sensor: str, mounting: Mounting) -> None:
         """Use a mounting for a sensor (config_hash) instead of that of its description, as a flight did."""
-        self._mountings[sensor] = mounting
+        self._mountings.state(sensor, mounting)
 
     def state_calibrations(self, applied_from: Mapping[str, Sequence[DwellKey]]) -> None:
         """Apply calibrations (by identity) from these dwells on, as a flight did, and not once they arrive."""
@@ -235,7 +229,7 @@ class Compression(DwellStage):
                 raise
             if gap > settings.odometry_interval_s:
                 self.count("odometry.bridged")
-            return Supplies(states, self._choice_for(sensor), self._mounting_of(sensor), air)
+            return Supplies(states, self._choice_for(sensor), self._mountings.of(sensor, settings), air)
         self._awaited_ns = min(self._awaited_ns, frame.end_ns + delay_ns)
         found = f"there are {gap:g} s between two" if states else self._describe_odometry(key.stamp_ns)
         raise Rejected(
@@ -312,7 +306,7 @@ class Compression(DwellStage):
             self._receive_calibration(item)
         else:
             try:
-                self._frames.add(item)
+                self._mountings.add(item)
             except UserError as error:
                 self.warn("transform", error)
             self.hand_over_complete()
@@ -394,12 +388,8 @@ class Compression(DwellStage):
         sensor, supplies = whole.sensor, whole.supplies
         stated: dict[str, Any] = dict(settings)
         if supplies.mounting != sensor.mounting:
-            sensor = _mounted(sensor, supplies.mounting)
-            stated[USED_MOUNTING] = {
-                "frame_id": supplies.mounting.frame_id,
-                "lever_arm": list(supplies.mounting.lever_arm),
-                "rotation": list(supplies.mounting.rotation),
-            }
+            sensor = mounted(sensor, supplies.mounting)
+            stated |= stated_mounting(supplies.mounting)
         track = Trajectory(supplies.states, motion=settings.motion, accuracy=settings.accuracy)
         used = settings
         if supplies.air is not None:
@@ -437,30 +427,6 @@ class Compression(DwellStage):
         if self._of_file and self._of_file.config_hash != sensor.config_hash:
             return CalibrationChoice(self._of_file)  # the compression refuses the dwell
         return self._received.of(sensor)
-
-    def _mounting_of(self, sensor: Sensor) -> Mounting:
-        """Mounting of the sensor on the platform.
-
-        Raises:
-            Rejected: its frame is not known yet.
-            UserError: it is nowhere on a platform.
-        """
-        settings = self._settings
-        if sensor.config_hash in self._mountings:
-            return self._mountings[sensor.config_hash].known_as(sensor.mounting)
-        if not settings.mounting_from_tf:
-            return sensor.mounting
-        name, body = sensor.mounting.frame_id, settings.body_frame
-        place = self._frames.place(name, body)
-        if place is None:
-            raise Rejected(
-                NO_MOUNTING,
-                f"Nothing on {TF_STATIC} says where {name!r} (sensor_info, mounting.frame_id) is in {body!r}; publish "
-                "it, as static_transform_publisher does, or set mounting_from_tf to false.",
-            )
-        mounting = Mounting(name, tuple(place.translation.tolist()), tuple(place.rotation.as_quat().tolist()))
-        found: Mounting = settings.frames.axes.mounting(mounting)
-        return found.known_as(sensor.mounting)
 
     def _describe_odometry(self, start_ns: int) -> str:
         """Description of the odometry received, relative to a dwell that it does not cover."""
@@ -517,12 +483,6 @@ class _Prepared(NamedTuple):
 def _strip_name(sensor: Sensor, calibration: Calibration | None) -> str:
     """Name of the compressor of a strip."""
     return f"{sensor.config_hash} {calibration.id if calibration else ''}"
-
-
-@lru_cache(maxsize=8)
-def _mounted(sensor: Sensor, mounting: Mounting) -> Sensor:
-    """A sensor that is elsewhere on the platform."""
-    return replace(sensor, mounting=mounting)
 
 
 def _out_of_time(state: PlatformState, history: OdometryHistory) -> str:

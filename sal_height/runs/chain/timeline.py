@@ -19,7 +19,8 @@ from sal_height.bag.played import DwellPart, part_of
 from sal_height.bag.reader import BagMessage, BagReader, LogTimes
 from sal_height.bag.topics import FRAME_TYPE
 from sal_height.engine.adjuster import POSE_ERROR
-from sal_height.engine.compression import HEARD, USED_MOUNTING
+from sal_height.engine.compression import HEARD
+from sal_height.engine.mountings import mounting_in
 from sal_height.engine.provenance import LEFT_OUT
 from sal_height.engine.registry import STAGES
 from sal_height.engine.results import DwellKey
@@ -240,7 +241,7 @@ def timeline_of(reader: BagReader, dwell_topics: Sequence[str] = ("/phase_histor
             parameters.receive(one)
         stages = record.stages.get(dwell, {})
         parameters.enter(dwell, stages)
-        if (mounting := _mounting_in(stages.get("sar_compression", {}))) is not None:
+        if (mounting := mounting_in(stages.get("sar_compression", {}))) is not None:
             timeline.mountings.setdefault(dwell.sensor, mounting)
         for message in _until(frames.last_ns, received):
             calibrations.receive(message)
@@ -249,17 +250,6 @@ def timeline_of(reader: BagReader, dwell_topics: Sequence[str] = ("/phase_histor
         parameters.receive(one)
     parameters.enter_late_reports()
     return timeline
-
-
-def _mounting_in(stage: Mapping[str, Any]) -> Mounting | None:
-    """The mounting that a provenance states of the compression; None: that of the sensor's description."""
-    names = [f"{USED_MOUNTING}.{name}" for name in ("frame_id", "lever_arm", "rotation")]
-    if any(name not in stage for name in names):
-        return None
-    frame_id, lever_arm, rotation = (stage[name] for name in names)
-    with suppress(UserError, TypeError):
-        return Mounting(str(frame_id), tuple(lever_arm), tuple(rotation))
-    return None
 
 
 def _until(time_ns: int, recorded: deque[Recorded]) -> Iterator[Recorded]:

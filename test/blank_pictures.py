@@ -1,4 +1,4 @@
-"""Pictures of runs that are neither laid out nor drawn, for tests that look at other results."""
+"""Pictures of runs and figures that are neither laid out nor drawn, for tests that look at other results."""
 
 from __future__ import annotations
 
@@ -29,7 +29,8 @@ class BlankCanvas:
 
 @contextmanager
 def blank_pictures() -> Iterator[None]:
-    """Pictures of runs are white, for tests that look at other results: layout and drawing cost more than the run."""
+    """Pictures are white, for tests that look at other results: layout and drawing cost more than a run."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("sal_height.graph.picture.FigureCanvasAgg", BlankCanvas)
+        for module in ("graph.picture", "figures.paper_figures"):
+            patch.setattr(f"sal_height.{module}.FigureCanvasAgg", BlankCanvas)
         yield

@@ -5,13 +5,15 @@ from __future__ import annotations
 import csv
 import json
 from collections.abc import Callable, Iterator
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from helpers import assert_one_sentence, refused
+from blank_pictures import blank_pictures
+from helpers import assert_one_sentence, few, refused
 from matplotlib.image import imread
 
 from sal_height.commands import main
@@ -31,11 +33,12 @@ def checks_of(curves: Iterator[Curve]) -> list[dict[str, Any]]:
     return [check for curve in curves for row in rows_of("figure", curve) if (check := check_of(row)) is not None]
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """All figures, of few trials."""
+@pytest.fixture(scope="module", params=few(1, [blank_pictures, nullcontext]), ids=["white", "drawn"])
+def folder(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """All figures, of few trials; in `make test` with white pictures."""
     out = tmp_path_factory.mktemp("figures") / "out"
-    assert main(["figures", "all", "--out", str(out), "--trials", str(TRIALS), "--seed", str(SEED)]) == 0
+    with request.param():
+        assert main(["figures", "all", "--out", str(out), "--trials", str(TRIALS), "--seed", str(SEED)]) == 0
     return out
 
 
@@ -244,3 +247,5 @@ def test_figures_are_made_once_and_in_their_order(tmp_path: Path, capsys: pytest
     assert list(dict.fromkeys(check["figure"] for check in checks)) == ["fig3", "fig8"]
     assert len(checks) == 9 * 81 + 6 * 37
     assert f"{len(checks)} points checked, 0 off" in capsys.readouterr().out
+    for name in ("fig3", "fig8"):
+        assert np.ptp(imread(tmp_path / "out" / f"{name}.png")) > 0.9, "it is drawn"

@@ -56,6 +56,7 @@ def test_longer_reliefs_gain_more_and_the_smoother_most(made: dict[str, Curve]) 
 
 def test_draws_are_repeatable_and_their_blocks_independent(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(figure, "LENGTHS", np.array([5.0]))
+    monkeypatch.setattr(figure, "SNR_DB", np.array([6.0]))
     first, again = curves(), curves()
     for name, curve in first.items():
         np.testing.assert_array_equal(curve.value, again[name].value)
@@ -84,5 +85,6 @@ def test_the_relief_that_is_drawn_has_its_law() -> None:
 )
 def test_a_wrong_closed_form_is_noticed(name: str, wrong: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(figure, "LENGTHS", np.array([20.0]))
+    monkeypatch.setattr(figure, "SNR_DB", np.array([6.0]))
     monkeypatch.setattr(figure, name, wrong)
     assert not all(holds(check) for check in checks_of(curves()))

@@ -60,7 +60,7 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The bag of a flight of the preset small, with images and heights."""
     folder = tmp_path_factory.mktemp("flown")
     record_sensor(replace(load_preset("small"), dwells=DWELLS), SEED, folder / "sensor")
-    replay(folder / "sensor", folder / "out", {}, Execution(record=["slc"]), estimators=["ml"])
+    replay(folder / "sensor", folder / "out", {}, Execution(record=["slc"]), estimators=["ml"], jobs=1)
     return folder / "out" / "bag"
 
 

@@ -308,7 +308,7 @@ def test_a_file_that_cannot_be_written_is_named(
         run(preset, SEED, tmp_path / "run", {})
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize("number", few(1, [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]))
 def test_a_signal_ends_the_wait_for_a_step(
     number: signal.Signals, two_dwells: Preset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -343,7 +343,7 @@ def test_a_simulator_that_idles_is_refused(graph: Graph, beside: Execution, two_
         run(two_dwells, SEED, tmp_path / "run", {}, beside)
 
 
-@pytest.mark.parametrize("moment", ["is_ready", "step"])
+@pytest.mark.parametrize("moment", few(1, ["step", "is_ready"]))
 def test_a_sensor_that_comes_later_is_refused(
     moment: str, graph: Graph, beside: Execution, long: Preset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -215,7 +215,7 @@ def test_the_same_seed_gives_the_same_heights_but_where_a_parameter_changes_them
 def test_interrupting_leaves_a_whole_bag_and_runs_go_on_side_by_side(two_dwells: Preset, tmp_path: Path) -> None:
     """While one run is going on in another process, a second one ends as if it were alone."""
     out = tmp_path / "run"
-    words = ["run", "--preset", "small", "--dwells", "90", "--out", str(out)]
+    words = ["run", "--preset", "small", "--dwells", "90", "--estimators", "ml", "--out", str(out)]
     with subprocess.Popen(  # noqa: S603
         [sys.executable, "-m", "sal_height", *words], stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     ) as program:

@@ -158,6 +158,17 @@ def test_frames_that_are_lost_for_good_are_accounted_for(hosts: Hosts, start: St
     assert len(read_heights(tmp_path)) == heights["published./ml/height"]
 
 
+NODE = """
+import sys
+from rclpy.node import Node
+from sal_height.nodes.transport.graph import Graph
+
+with Graph() as graph:
+    graph.add(Node(sys.argv[1], context=graph.context))
+    graph.spin_until(lambda: False)
+"""
+"""Program of a node that does nothing, in a context like that of all nodes."""
+
 LIST_NODES = """
 import rclpy, sys
 rclpy.init()
@@ -186,11 +197,11 @@ def names_until(process: subprocess.Popen[str], *last: str) -> set[str]:
 
 def test_nodes_that_keep_to_their_host_are_found_there_and_nowhere_else(hosts: Hosts, start: Start) -> None:
     assert hosts.loss == 0
-    start_node(start, 0, "sar_compression", ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST")
-    start_node(start, 0, "ml_height")
-    names_until(start(0, "-c", LIST_NODES), "sar_compression", "ml_height")
+    start(0, "-c", NODE, "local", PYTHONPATH=MODULES, ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST")
+    start(0, "-c", NODE, "open", PYTHONPATH=MODULES)
+    names_until(start(0, "-c", LIST_NODES), "local", "open")
     elsewhere = start(1, "-c", LIST_NODES, ROS_STATIC_PEERS="10.77.0.1")
-    seen = names_until(elsewhere, "ml_height")
-    start_node(start, 0, "relief_tracker")
-    seen |= names_until(elsewhere, "relief_tracker")
-    assert seen == {"looking", "ml_height", "relief_tracker"}
+    seen = names_until(elsewhere, "open")
+    start(0, "-c", NODE, "late", PYTHONPATH=MODULES)
+    seen |= names_until(elsewhere, "late")
+    assert seen == {"looking", "open", "late"}

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import os
 import signal
-import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
+from programs import PROCESSING, Program
 from rclpy.node import Node
 
 from sal_height.graph.watch import AccountBook, Watcher
@@ -67,32 +66,29 @@ def test_who_watches_a_graph_says_that_nothing_more_can_be_seen(graph: Graph, ca
 
 
 @pytest.fixture
-def program(domain_id: int) -> Iterator[subprocess.Popen[str]]:
+def program(domain_id: int) -> Iterator[Program]:
     """A node in a process of its own."""
-    process = subprocess.Popen(
-        [sys.executable, "-m", "sal_height.nodes.processing", "relief_tracker"],
-        env=os.environ | {"ROS_DOMAIN_ID": str(domain_id)},
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    yield process
-    process.kill()
-    process.communicate()
+    program = Program(PROCESSING, "relief_tracker", domain_id=domain_id)
+    yield program
+    if program.poll() is None:
+        program.kill()
+        program.communicate()
 
 
-def test_a_node_ends_and_says_why(program: subprocess.Popen[str], graph: Graph) -> None:
+def test_a_node_ends_and_says_why(program: Program, graph: Graph) -> None:
     watcher = graph.add(Node("watcher", context=graph.context))
     assert graph.spin_until(lambda: watcher.count_publishers("tracked/height") == 1, 60.0)
     found = ports_read(Path(f"/proc/{program.pid}"))
     for name in found:
         (SHARED_MEMORY / name).unlink()
-    assert program.wait(60.0) == 1
-    (sentence,) = [line for line in program.stderr if "ERROR" in line]
+    _, errors = program.communicate()
+    assert program.returncode == 1
+    (sentence,) = [line for line in errors.splitlines() if "ERROR" in line]
     assert "of shared memory, through which messages of other processes arrive, is lost" in sentence
     assert any(name in sentence for name in found)
 
 
-def test_a_node_that_stands_still_keeps_its_ports(program: subprocess.Popen[str], graph: Graph) -> None:
+def test_a_node_that_stands_still_keeps_its_ports(program: Program, graph: Graph) -> None:
     """By default, whoever sends to it would make them anew all the time, and it could be lost when it goes on."""
     watcher = graph.add(Node("watcher", context=graph.context))
     accounts: list[DiagnosticArray] = []
@@ -108,4 +104,5 @@ def test_a_node_that_stands_still_keeps_its_ports(program: subprocess.Popen[str]
     accounts.clear()
     assert graph.spin_until(lambda: bool(accounts), 60.0)
     program.send_signal(signal.SIGTERM)
-    assert program.wait(60.0) == 0
+    program.communicate()
+    assert program.returncode == 0

@@ -15,7 +15,7 @@ from sal_height.elevation.estimators.maximum_likelihood import MlSettings, ml_el
 from sal_height.elevation.looks.looks import Looks, covariance
 from sal_height.errors import NotDetermined
 
-ROWS, COLS, COUNT = 220, 8, 4
+ROWS, COLS, COUNT = 110, 8, 4
 SETTINGS = CalibrationSettings(pupil_prior_waves=0.1)
 SQUINTS = np.linspace(-0.5, 0.5, COLS) * BEAMWIDTH
 
@@ -36,7 +36,7 @@ def draw(rng: np.random.Generator, beams: Beams, cnr: float, squint: np.ndarray)
 
 @pytest.mark.parametrize("name", few(1, ["defocus", "coma"]))
 def test_heights_are_as_without_aberrations(name: str) -> None:
-    """.07 waves rms, 1760 pixels of 20 dB: standard errors of the shares .004 and .011."""
+    """.07 waves rms, 880 pixels of 20 dB: standard errors of the shares .006 and .016."""
     rng, described = np.random.default_rng(5), make_beams("jinc", 16)
     true = described.aberrated(only(name, 0.07))
     found = calibrate_pupil(draw(rng, true, 100.0, SQUINTS)[0], described, SETTINGS)
@@ -51,7 +51,7 @@ def test_heights_are_as_without_aberrations(name: str) -> None:
     assert np.mean(valid) > 0.97
     assert np.mean(valid) > np.mean(before.validity == Validity.OK) + 0.2
     error = ((after.elevation - elevation) / after.sigma)[valid]
-    assert np.mean(np.abs(error) < 1) == pytest.approx(0.683, abs=0.04)
+    assert np.mean(np.abs(error) < 1) == pytest.approx(0.683, abs=0.05)
     assert abs(np.mean(error)) < 0.1
 
 

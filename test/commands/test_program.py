@@ -244,7 +244,7 @@ def test_arrays_are_measured_without_ros(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("missing", "how"), [("sal_height_msgs", "pip install ./msg_defs"), ("rclpy", "ros-jazzy-rclpy[fastrtps]")]
+    ("missing", "how"), few(1, [("rclpy", "ros-jazzy-rclpy[fastrtps]"), ("sal_height_msgs", "pip install ./msg_defs")])
 )
 def test_commands_that_need_ros_say_what_to_install(missing: str, how: str, tmp_path: Path) -> None:
     words = [["run", "--preset", "small", "--out", str(tmp_path / "out")]]

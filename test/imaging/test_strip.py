@@ -14,6 +14,7 @@ from helpers import (
     bare_scatterers,
     circular,
     elevation_at,
+    few,
     make_aperture,
     make_sensor,
     refused,
@@ -156,7 +157,7 @@ def assert_one_lattice(slcs: list[Slc], cols: int) -> None:
 
 
 @pytest.mark.parametrize("gust", [0.0, 1.0], ids=["calm", "gusts"])
-@pytest.mark.parametrize(("block", "cols"), [(256, 0), (33, 20), (100, 37), (700, 64)])
+@pytest.mark.parametrize(("block", "cols"), few(2, [(256, 0), (33, 20), (100, 37), (700, 64)]))
 def test_images_are_those_of_one_long_compression_and_no_column_is_missing(gust: float, block: int, cols: int) -> None:
     """In blocks from a tenth to twice an aperture; pixels of all columns that the pulses fill, but for the last few.
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from flown_target import CARRIER, ELEVATION, RANGE, SPEED, TARGET
-from helpers import assert_one_sentence
+from helpers import assert_one_sentence, few
 from phase_history_files import assert_focused, complaint, only
 from sarkit.verification import CrsdConsistency
 from scipy.constants import speed_of_light
@@ -130,7 +130,7 @@ AS_DESCRIBED_EXACTLY: dict[str, dict[str, Any]] = {
 AS_DESCRIBED_EXACTLY["sar_compression"]["air"] = "none"
 
 
-@pytest.mark.parametrize("height", [0.0, 12.0])
+@pytest.mark.parametrize("height", few(1, [12.0, 0.0]))
 def test_beams_of_one_antenna_become_channels_which_give_the_height(height: float, tmp_path: Path) -> None:
     """To 3.5 of the sigmas that are stated, of 7 cm each; the file has the upper beam first."""
     path = write_beams(tmp_path / "a.crsd", np.array([*TARGET[:2], height]))

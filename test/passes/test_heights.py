@@ -75,9 +75,12 @@ def test_what_all_passes_err_in_range_is_in_the_heights_and_in_their_sigma() -> 
     assert stated == pytest.approx(np.sqrt(np.pi / 2) * 0.1 / np.sqrt(8) * abs(sight[2]), rel=0.1)
 
 
-def test_without_references_only_a_common_height_is_open() -> None:
+def test_a_reference_that_is_not_there_is_told_and_without_any_only_a_common_height_is_open() -> None:
     points, passes, _ = scene(11)
-    result = made(list(passes), [])
+    nowhere = ReferencePoint(np.array([0.0, 300.0, 0.0]), ties=True)
+    result = made(list(passes), [nowhere])
+    (sentence,) = result.warnings
+    assert sentence.startswith("The reference point at 0, 300, 0 m is not used: the nearest bright point is ")
     assert result.tie.references == 0
     moved = result.found.points.positions
     apart, nearest = cKDTree(shown(points)).query(shown(moved))
@@ -155,15 +158,6 @@ def test_two_reflectors_in_a_cell_get_no_height() -> None:
     near = np.linalg.norm(shown(result.found.points.positions), axis=1) < 1.0
     assert not near.any()
     assert result.found.reasons[Validity.TWO_SCATTERERS] >= 1
-
-
-def test_references_that_are_not_there_are_told() -> None:
-    _, passes, _ = scene(13)
-    nowhere = ReferencePoint(np.array([0.0, 300.0, 0.0]), ties=True)
-    result = made(list(passes), [nowhere])
-    (sentence,) = result.warnings
-    assert sentence.startswith("The reference point at 0, 300, 0 m is not used: the nearest bright point is ")
-    assert result.tie.references == 0
 
 
 def test_a_volume_that_is_too_large_is_refused() -> None:

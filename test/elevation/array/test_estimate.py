@@ -22,7 +22,7 @@ from sal_height.elevation.looks.looks import Looks
 from sal_height.elevation.monopulse.sum_difference import SumDifferenceSettings, sum_difference_elevation
 
 CASES = pytest.mark.parametrize(
-    ("channels", "looks", "trials"), few(2, [(2, 1, 400_000), (16, 4, 60_000), (3, 2, 300_000)])
+    ("channels", "looks", "trials"), few(1, [(16, 4, 60_000), (2, 1, 400_000), (3, 2, 300_000)])
 )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from helpers import BEAMWIDTH, circular, make_beams, target_slc
+from helpers import BEAMWIDTH, circular, few, make_beams, target_slc
 
 from sal_height.beams.array import Beams
 from sal_height.elevation.array import _kernels as kernels
@@ -82,7 +82,7 @@ def highest_peaks(tables: SearchTables, squint: int, matrices: Array) -> tuple[A
 
 
 @pytest.mark.parametrize("objective", sorted(OBJECTIVES))
-@pytest.mark.parametrize(("channels", "looks"), [(3, 1), (5, 4), (16, 1), (16, 16)])
+@pytest.mark.parametrize(("channels", "looks"), few(2, [(3, 1), (16, 16), (5, 4), (16, 1)]))
 def test_highest_and_second_peak_are_those_of_a_dense_search(channels: int, looks: int, objective: str) -> None:
     """But for ties within the errors of float32: 1e-4 of the height."""
     tables, matrices = tables_of(make_beams("jinc", channels), objective), pixels_of(channels, 300, looks)

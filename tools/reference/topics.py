@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
@@ -79,12 +80,18 @@ def document() -> str:
     Raises:
         LookupError: a class says that its node has a topic, and no node that was started has it.
     """
-    with free_domain() as domain, Graph(domain) as graph:
-        found = {name: ends_of(graph, node, TRIED.get(name, [{}])) for name, node in NODES.items()}
+    found = ends_of_nodes()
     known: Ends = {("in", TF_STATIC): End("tf2_msgs/msg/TFMessage", _quality(TF_STATIC_QOS))}  # not on PyPI
     known = {key: end for ends in (known, *found.values()) for key, end in ends.items()}
     sections = [_section(name, node, known | found[name]) for name, node in NODES.items()]
     return page([HEAD, ALL_NODES, _topics("out", ACCOUNTS | LEFT_OUT, known), _services(LIFE_CYCLE), *sections])
+
+
+@cache
+def ends_of_nodes() -> Mapping[str, Ends]:
+    """Entries of every node on its topics."""
+    with free_domain() as domain, Graph(domain) as graph:
+        return {name: ends_of(graph, node, TRIED.get(name, [{}])) for name, node in NODES.items()}
 
 
 def ends_of(graph: Graph, make: type[Any], many_values: Iterable[Mapping[str, Any]]) -> Ends:

@@ -58,7 +58,7 @@ def test_replays_are_equal_byte_for_byte(name: str, tmp_path: Path) -> None:
 
 def test_a_reset_in_flight_is_repeated(two_dwells: Preset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Through nodes and by calls; the replay of a replay repeats it, too."""
-    three_dwells = dataclasses.replace(two_dwells, dwells=3)
+    three_dwells = dataclasses.replace(two_dwells, dwells=3, estimators=("ml",))
     fly(three_dwells, 1, tmp_path / "whole", {})
     announce = Lockstep.announce
 

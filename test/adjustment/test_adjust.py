@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -39,11 +40,17 @@ def relative_over(adjustment: Adjustment, errors: F64) -> float:
     return float(np.mean([e @ np.linalg.solve(c, e) / 3 for e, c in zip(apart, covariances, strict=True)]))
 
 
+@cache
+def adjusted_alone(seed: int = 1) -> Adjustment:
+    """The adjustment of the dwells of `flown` without references."""
+    passes = flown(seed)
+    return adjust(passes.dwells, passes.flight.sensor.mounting, SETTINGS)
+
+
 @pytest.mark.parametrize("seed", few(1, [1, 2]))
 def test_dwells_are_brought_together_within_what_is_stated(seed: int) -> None:
     """From 60 cm to less than a pixel horizontally, and 6 mm in height."""
-    passes = flown(seed)
-    adjustment = adjust(passes.dwells, passes.flight.sensor.mounting, SETTINGS)
+    passes, adjustment = flown(seed), adjusted_alone(seed)
     before = passes.shifts - passes.shifts.mean(axis=0)
     assert np.all(np.sqrt(np.mean(before**2, axis=0)) > 0.1)
     errors, over = errors_of(adjustment, passes)
@@ -60,8 +67,7 @@ def test_known_ground_puts_all_dwells_in_their_place() -> None:
     """Within 5 cm horizontally and 5 mm in height; without it they stay where odometry puts them together."""
     passes = flown()
     terrain = References(terrain=Terrain(passes.flight.scene.heights, 0.02))
-    mounting = passes.flight.sensor.mounting
-    alone, grounded = (adjust(passes.dwells, mounting, SETTINGS, known) for known in (References(), terrain))
+    alone, grounded = adjusted_alone(), adjust(passes.dwells, passes.flight.sensor.mounting, SETTINGS, terrain)
     assert any(one.is_absolute for one in grounded.comparisons)
     assert not any(one.is_absolute for one in alone.comparisons)
     errors, over = errors_of(grounded, passes)
@@ -129,8 +135,7 @@ def test_targets_are_as_good() -> None:
 )
 def test_references_that_are_not_there_change_nothing(references: References) -> None:
     passes = flown()
-    mounting = passes.flight.sensor.mounting
-    alone, other = (adjust(passes.dwells, mounting, SETTINGS, known) for known in (References(), references))
+    alone, other = adjusted_alone(), adjust(passes.dwells, passes.flight.sensor.mounting, SETTINGS, references)
     assert not any(one.is_absolute for one in other.comparisons)
     np.testing.assert_allclose(other.shifts[0], alone.shifts[0], atol=1e-9)
 

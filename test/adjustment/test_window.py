@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -30,6 +31,14 @@ def told_of(passes: FlownPasses, most_dwells: int, references: References = UNKN
     return run_through(window, passes.dwells)
 
 
+@cache
+def kept_all(seed: int) -> tuple[AdjustmentWindow, WindowRun]:
+    """A window that has kept all dwells of `flown`, and its adjustment of each when it arrived."""
+    passes = flown(seed)
+    window = AdjustmentWindow(passes.flight.sensor.mounting, SETTINGS, 1000)
+    return window, run_through(window, passes.dwells)
+
+
 def over(told: WindowRun, truth: F64) -> F64:
     """Mean square of the errors over what is stated, shape (dwells,)."""
     errors = told.shifts - truth
@@ -42,8 +51,7 @@ def test_dwells_are_brought_together_as_they_come(seed: int) -> None:
 
     It is by the end of each pass, and mostly before: how much a single dwell shows depends on its noise.
     """
-    passes = flown(seed)
-    told = told_of(passes, 1000)
+    passes, (_, told) = flown(seed), kept_all(seed)
     assert told.kept == len(passes.dwells)
     before = passes.shifts - passes.shifts.mean(axis=0)
     assert np.all(np.sqrt(np.mean(before**2, axis=0)) > 0.1)
@@ -60,10 +68,7 @@ def test_dwells_are_brought_together_as_they_come(seed: int) -> None:
 
 def test_the_last_adjustment_is_that_of_all_dwells_at_once() -> None:
     """Within a standard deviation, though comparisons began from what was known then."""
-    passes = flown()
-    window = AdjustmentWindow(passes.flight.sensor.mounting, SETTINGS, 1000)
-    for dwell in passes.dwells:
-        window.add(dwell)
+    passes, (window, _) = flown(1), kept_all(1)
     whole = adjust(passes.dwells, passes.flight.sensor.mounting, SETTINGS)
     (ours, covariance), (theirs, _) = window.adjustment.shifts, whole.shifts
     sigmas = np.sqrt([one.diagonal() for one in covariance])

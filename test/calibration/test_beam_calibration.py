@@ -143,7 +143,7 @@ def test_variance_between_groups_is_that_of_their_sums() -> None:
 
 @pytest.mark.parametrize("count", few(1, [5, 20]))
 def test_unknown_angles_do_not_bias_the_width(count: int) -> None:
-    """The mean of all errors has a standard error of 1; left uncorrected, that of 20 would be at -9, of 5 at -4.5."""
+    """The mean of all errors has a standard error of 1; left uncorrected, that of 20 would be at -9, of 5 at -3.4."""
     error, sigma = trials(count)
     assert abs(np.sum(error[:, 0] / sigma[:, 0])) / np.sqrt(count) < 3
 

@@ -135,7 +135,7 @@ def test_how_many_dwells_were_left_out_is_said(tmp_path: Path) -> None:
 def test_a_run_records_the_movers_of_its_last_dwells_and_a_replay_repeats_them(tmp_path: Path, replay: Any) -> None:
     """Which the node tells when no more have come for timeout_s."""
     target = TargetSettings(0.1, 0.5, 0.8, 30.0, radial_velocity_mps=8.003)
-    preset = replace(load_preset("small"), targets=(target,), dwells=5, estimators=("movers",))
+    preset = replace(load_preset("small"), targets=(target,), dwells=3, estimators=("movers",))
     values = {"sar_compression": {"cols": 48}, "mover_detection": {"timeout_s": 4.0}}
     flown = fly(preset, 3, tmp_path / "run", values)
     assert flown.outcome.losses == []
@@ -145,5 +145,5 @@ def test_a_run_records_the_movers_of_its_last_dwells_and_a_replay_repeats_them(t
         [one.cdr for one in BagReader(tmp_path / folder / "bag").messages() if one.topic == "/movers"]
         for folder in ("run", "replay")
     ]
-    assert len(clouds[0]) == 5
+    assert len(clouds[0]) == 3
     assert clouds[0] == clouds[1]

@@ -33,14 +33,21 @@ logging.getLogger("sal_height.numeric.jit").setLevel(logging.ERROR)
 
 
 LONGEST_FIRST = (
-    *("test_soak.py", "runs/live/test_live_host_products.py", "runs/test_run.py", "figures/test_figures.py"),
-    *("movers/test_detection.py", "test_golden.py", "test_tutorials.py", "runs/test_offline.py", "nodes/test_hosts.py"),
-    *("runs/replay/test_replay.py", "passes/test_heights.py", "runs/test_supervisor.py", "movers/test_dwells.py"),
-    *("runs/live/test_live.py", "commands/test_program.py", "test_layering.py", "messages/test_codec.py"),
-    *("adjustment/test_adjust.py", "runs/campaign/test_batch.py", "runs/products/test_movers.py"),
-    *("passes/test_chance.py", "pipeline/test_groups.py", "runs/products/test_adjust.py", "runs/test_psf_images.py"),
-    *("imports/test_slc.py", "engine/test_every_stage.py", "runs/live/test_live_host.py", "runs/test_lockstep.py"),
-    *("runs/test_ensemble.py", "test_notebooks.py", "runs/test_cli.py", "nodes/test_hostile.py"),
+    *("test_soak.py", "runs/test_run.py", "runs/live/test_live_host_products.py", "movers/test_detection.py"),
+    *(
+        "runs/test_offline.py",
+        "figures/test_figures.py",
+        "test_golden.py",
+        "nodes/test_hosts.py",
+        "movers/test_dwells.py",
+    ),
+    *("runs/test_supervisor.py", "passes/test_heights.py", "runs/replay/test_replay.py", "test_tutorials.py"),
+    *("runs/campaign/test_batch.py", "commands/test_program.py", "runs/products/test_adjust.py"),
+    *("adjustment/test_adjust.py", "pipeline/test_groups.py", "engine/test_every_stage.py", "runs/live/test_live.py"),
+    *("messages/test_codec.py", "nodes/test_height_adjuster.py", "test_layering.py", "runs/test_psf_images.py"),
+    *("imaging/formers/test_range_doppler.py", "numeric/test_jit.py", "passes/test_chance.py", "imports/test_slc.py"),
+    *("runs/live/test_live_host.py", "runs/replay/test_same_bytes.py"),
+    *("nodes/test_hostile.py", "engine/test_imports.py", "imaging/test_strip.py", "runs/test_ensemble.py"),
 )
 """Files that take 8 s of processor time or more, or wait for programs, the longest first."""
 

@@ -93,7 +93,7 @@ def live(
     import math
     import time
 
-    from sal_height.workers.processes import use_one_thread
+    from sal_height.workers.processes import prepare_for_messages, use_one_thread
 
     if supervise and one_process:
         raise UserError("Options --supervise and --one-process exclude each other: nodes in one process end together.")
@@ -112,6 +112,7 @@ def live(
             }
         )
         return _attend(config, processes, supervise, end_s, graph)
+    prepare_for_messages()
     if processes != "one":
         use_one_thread()
 
@@ -197,7 +198,7 @@ def _attend(config: Path, asked: Processes, supervise: bool, seconds: float, gra
     import time
 
     from sal_height.runs.live.deployment import load_deployment
-    from sal_height.workers.processes import use_one_thread
+    from sal_height.workers.processes import prepare_for_messages, use_one_thread
 
     deployment = load_deployment(config)
     refusal = f"Configuration {config}: one_process and separate exclude each other."
@@ -205,6 +206,7 @@ def _attend(config: Path, asked: Processes, supervise: bool, seconds: float, gra
     processes = stated if asked == "host" else asked
     if supervise and processes == "one":
         raise UserError(f"Configuration {config}: one_process excludes --supervise: nodes in one process end together.")
+    prepare_for_messages()
     if processes != "one":
         use_one_thread()
 

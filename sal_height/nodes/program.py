@@ -25,6 +25,7 @@ from sal_height.nodes.transport.graph import events_executor
 from sal_height.nodes.transport.middleware import provide_shared_memory
 from sal_height.numeric import available_processors
 from sal_height.workers.pool import Pool
+from sal_height.workers.processes import prepare_for_messages
 
 
 def run_node(make: type[Node], begin: Callable[[Node], None] = announce) -> int:
@@ -40,6 +41,7 @@ def run_node(make: type[Node], begin: Callable[[Node], None] = announce) -> int:
     if {"--help", "-h"} & set(sys.argv[1:]):
         sys.stdout.write(usage(make, program_name()))
         return 0
+    prepare_for_messages()
     return _run_nodes([make], begin, sys.argv)
 
 
@@ -58,6 +60,7 @@ def run_host(
     Returns:
         The exit status, as of `run_nodes`.
     """
+    prepare_for_messages()
     pool = Pool(available_processors())
     try:
         makes: list[Callable[[], Node]] = [partial(make, pool=pool, cli_args=own) for make, own in members]

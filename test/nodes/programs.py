@@ -44,7 +44,7 @@ class Program:
 
     @property
     def pid(self) -> int:
-        """Its number."""
+        """The number of the process."""
         assert self._process.pid
         return self._process.pid
 

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-from programs import Program
+from programs import PROCESSING, Program
 from rcl_interfaces.srv import GetParameters
 from rclpy.node import Node
 
@@ -36,6 +36,18 @@ def test_what_cannot_be_run_is_refused_with_one_message(words: list[str], said: 
     assert program.returncode == 2
     assert said in errors
     assert "Traceback" not in errors
+
+
+@pytest.mark.skipif(not hasattr(os, "SCHED_BATCH"), reason="this system has no such scheduling")
+@pytest.mark.parametrize(
+    ("module", "words"), [("sal_height.nodes.live_host", ["live_host", "ml_height"]), (PROCESSING, ["ml_height"])]
+)
+def test_programs_of_nodes_do_not_preempt_others_when_messages_arrive(
+    module: str, words: list[str], graph: Graph, domain_id: int
+) -> None:
+    program = Program(module, *words, domain_id=domain_id)
+    assert graph.spin_until(lambda: os.sched_getscheduler(program.pid) == os.SCHED_BATCH, TIMEOUT_S)
+    program.kill()
 
 
 def test_help_says_how_nodes_are_named() -> None:

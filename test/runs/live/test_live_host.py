@@ -76,6 +76,10 @@ class Flight:
 
     def workers(self) -> dict[int, str]:
         """Names of the worker processes, by number."""
+        return {number: name for number, name in self.processes().items() if name.startswith("worker ")}
+
+    def processes(self) -> dict[int, str]:
+        """Names of the processes of the graph, by number."""
         found = {}
         for folder in Path("/proc").glob("[0-9]*"):
             try:
@@ -84,7 +88,7 @@ class Flight:
             except OSError:
                 continue
             mine = f"ROS_DOMAIN_ID={self.node.context.get_domain_id()}\0".encode() in environment
-            if name.startswith("worker ") and mine and parent.rpartition(") ")[2][0] != "Z":
+            if mine and parent.rpartition(") ")[2][0] != "Z":
                 found[int(folder.name)] = name
         return found
 
@@ -127,6 +131,15 @@ def test_the_graph_has_all_nodes_each_with_its_services(flight: Flight) -> None:
     flight.until(lambda: wanted <= set(flight.node.get_node_names()))
     services = {name for name, _ in flight.node.get_service_names_and_types()}
     assert {f"/{node}/change_state" for node in wanted - {"recorder"}} <= services
+
+
+@pytest.mark.skipif(not hasattr(os, "SCHED_BATCH"), reason="this system has no such scheduling")
+def test_no_thread_that_a_message_wakes_takes_the_processor_from_the_one_that_publishes(flight: Flight) -> None:
+    threads = [task for number in flight.processes() for task in Path(f"/proc/{number}/task").iterdir()]
+    receivers = [task for task in threads if (task / "comm").read_text().startswith("dds.shm")]
+    assert len({task.parent for task in receivers}) >= 4  # host, player, recorder, and the program that watches
+    assert {os.sched_getscheduler(int(task.name)) for task in receivers} == {os.SCHED_BATCH}
+    assert {os.sched_getscheduler(number) for number in flight.workers()} == {os.SCHED_BATCH}
 
 
 def test_images_are_published_to_whoever_subscribes_in_flight(flight: Flight) -> None:

@@ -48,6 +48,7 @@ def use_one_blas_thread() -> None:
 def prepare_for_messages() -> None:
     """Have this process, and those that it starts, exchange many large messages at little cost (Linux)."""
     _wake_without_preempting()
+    _keep_freed_memory()
 
 
 def _wake_without_preempting() -> None:
@@ -59,6 +60,19 @@ def _wake_without_preempting() -> None:
     if hasattr(os, "SCHED_BATCH"):
         with suppress(OSError):  # a container may not allow it
             os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
+
+
+def _keep_freed_memory() -> None:
+    """Use freed memory again, of arrays and of messages, instead of giving it back to the system at once.
+
+    By default glibc gives back more than some 100 kB at the end of its memory. All pages of the next message are then
+    new ones, which takes longer than to copy the message.
+    """
+    trim_threshold, mmap_threshold = -1, -3  # options of mallopt(3)
+    largest = 32 * 1024 * 1024  # bytes of an array that is allocated among others, the most that glibc allows
+    if mallopt := getattr(ctypes.CDLL(None), "mallopt", None):  # other C libraries do not have it
+        mallopt(mmap_threshold, largest)
+        mallopt(trim_threshold, 4 * largest)
 
 
 def can_fork() -> bool:

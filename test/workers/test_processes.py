@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import json
 import os
 import subprocess
@@ -174,3 +175,24 @@ def test_commands_on_dwells_multiply_matrices_in_one_thread(
     (tmp_path / "file").touch()
     assert main([command, str(REFERENCE), "--out", str(tmp_path)]) == 2, "the folder is not empty"
     assert os.environ["OPENBLAS_NUM_THREADS"] == (threads or "1")
+
+
+@pytest.mark.skipif(not hasattr(ctypes.CDLL(None), "mallopt"), reason="this C library always gives memory back")
+def test_memory_of_messages_is_used_again_for_the_next_ones() -> None:
+    """Else each dwell of 2 MB takes more than a hundred new pages."""
+    code = """
+import resource
+from sal_height.workers.processes import prepare_for_messages
+
+def new_pages(dwells):
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+    for _ in range(dwells):
+        messages = [bytearray(132_000) for _ in range(16)]
+        del messages
+    return resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
+
+prepare_for_messages()
+new_pages(20)
+print(json.dumps(new_pages(100)))
+"""
+    assert int(str(said_by(code))) < 500

@@ -43,7 +43,7 @@ from sal_height.nodes.parameters import LiveParameters
 from sal_height.nodes.program import run_node
 from sal_height.nodes.recording.parameter_reader import ASK_PERIOD_S, ParameterReader
 from sal_height.nodes.recording.recorder_parameters import RecorderParameters, Selection
-from sal_height.nodes.recording.subscribing import Arrived, arrived, matching_profile, replaces_messages
+from sal_height.nodes.recording.subscribing import Arrived, Looks, arrived, matching_profile, replaces_messages
 from sal_height.nodes.transport.callbacks import Repeated, guarded, guarded_with_times
 from sal_height.nodes.transport.log import RareWarnings
 from sal_height.nodes.transport.message_types import message_class
@@ -53,9 +53,6 @@ ACCOUNTS = {DIAGNOSTICS, PROGRESS}  # accounts of these would be recorded in tur
 FAILED = "internal error"  # kind of the errors that no message should cause
 DIAGNOSTICS_PERIOD_S = 0.5
 GIVE_BACK_PERIOD_S = 0.1
-
-TAKE_PERIOD_S = 0.05
-"""Time from one look at what has arrived to the next, s: to wake up for each message takes longer than to write it."""
 
 GATHER_S = 0.02
 """Time in which messages gather, so that the thread that writes wakes once for all of them, s."""
@@ -142,7 +139,7 @@ class Recorder(Role, Node):
         self._worker = threading.Thread(target=self._work, name="recorder", daemon=True)
         self._worker.start()
         self.context.on_shutdown(self.close_bag)
-        self._every(TAKE_PERIOD_S, self._take)
+        self._looks = Looks(self, guarded(self._take, self._fail))
         self._every(0.1, self._discover)
         if self._reader:
             self._every(ASK_PERIOD_S, partial(self._look_for_parameters, self._reader))
@@ -298,10 +295,12 @@ class Recorder(Role, Node):
         self._topic_counts[PARAMETER_EVENTS].receive(None, lambda: 0)
         self._put(PARAMETER_EVENTS, cdr, (self._now_ns, self._now_ns))
 
-    def _take(self) -> None:
-        """Receive what has arrived on all topics."""
+    def _take(self) -> bool:
+        """Receive what has arrived on all topics; True if there is any."""
+        before = self._put_bytes
         if not self._has_other_clock:
             self._receive_all(arrived(self._subscribed))
+        return self._put_bytes > before
 
     def _taker_of(self, topic: str) -> Callable[[bytes, dict[str, Any]], None]:
         """A callback that receives the messages of a topic."""

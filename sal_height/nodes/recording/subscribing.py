@@ -3,14 +3,27 @@
 from __future__ import annotations
 
 import heapq
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 
 QUEUE_DEPTH = 1000
 """Messages of a topic that may wait in the middleware until the node takes them."""
+
+
+TAKE_PERIOD_S = 0.05
+"""Time from one look at what has arrived to the next, s: to wake up for each message takes longer than to write it."""
+
+IDLE_PERIOD_S = 0.2
+"""The same while nothing arrives: of a topic that starts, the middleware keeps 5000 messages in a second until then."""
+
+EMPTY_LOOKS = 20
+"""Looks one after the other that find nothing, after which nothing is assumed to arrive."""
 
 
 class Arrived(NamedTuple):
@@ -19,6 +32,27 @@ class Arrived(NamedTuple):
     topic: str
     cdr: bytes
     info: dict[str, Any]
+
+
+class Looks:
+    """A timer that takes what has arrived, less often while nothing arrives."""
+
+    def __init__(self, node: Node, take: Callable[[], bool]) -> None:
+        """Look from now on; `take` returns whether something had arrived, and must not raise."""
+        self._take, self._empty = take, 0
+        self._timer = node.create_timer(TAKE_PERIOD_S, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    @property
+    def period_s(self) -> float:
+        """Time from one look to the next, s."""
+        return float(self._timer.timer_period_ns) * 1e-9
+
+    def _look(self) -> None:
+        self._empty = 0 if self._take() else self._empty + 1
+        period_ns = round((IDLE_PERIOD_S if self._empty >= EMPTY_LOOKS else TAKE_PERIOD_S) * 1e9)
+        if self._timer.timer_period_ns != period_ns:
+            self._timer.timer_period_ns = period_ns
+            self._timer.reset()  # else the next look is after the former period
 
 
 def arrived(subscriptions: Mapping[str, Subscription]) -> Iterator[Arrived]:

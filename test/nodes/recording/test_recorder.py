@@ -52,7 +52,15 @@ from sal_height.nodes.recording import parameter_reader
 from sal_height.nodes.recording import recorder as module
 from sal_height.nodes.recording.parameter_reader import ParameterReader
 from sal_height.nodes.recording.recorder import Recorder
-from sal_height.nodes.recording.subscribing import QUEUE_DEPTH, Arrived, in_order_of_arrival, replaces_messages
+from sal_height.nodes.recording.subscribing import (
+    IDLE_PERIOD_S,
+    QUEUE_DEPTH,
+    TAKE_PERIOD_S,
+    Arrived,
+    Looks,
+    in_order_of_arrival,
+    replaces_messages,
+)
 from sal_height.nodes.transport.graph import Graph
 from sal_height.nodes.transport.message_types import subscribe
 from sal_height.nodes.transport.qos import LATCHED_QOS
@@ -379,6 +387,15 @@ def test_an_executor_waits_for_messages_only_if_their_time_is_that_of_a_callback
     recorder = start(graph, bag, use_sim_time=use_sim_time, topics=["/note"])
     assert graph.spin_until(lambda: "/note" in recorder.recorded, TIMEOUT_S)
     assert ("/note" in {one.topic_name for one in recorder.subscriptions}) is use_sim_time
+
+
+def test_the_recorder_looks_less_often_while_nothing_arrives(graph: Graph, source: Node) -> None:
+    taken: list[bool] = [True]
+    looks = Looks(source, lambda: taken.append(taken[0]) or taken[0])  # type: ignore[func-returns-value]
+    for arrives, period_s in ((True, TAKE_PERIOD_S), (False, IDLE_PERIOD_S), (True, TAKE_PERIOD_S)):
+        taken[0], before = arrives, len(taken)
+        assert graph.spin_until(lambda before=before: len(taken) > before + 21, TIMEOUT_S)  # type: ignore[misc]
+        assert looks.period_s == pytest.approx(period_s)
 
 
 class SlowDisk(Recorder):

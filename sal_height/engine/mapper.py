@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -16,8 +17,9 @@ from sal_height.engine.height_items import Heights, heights_port
 from sal_height.engine.provenance import Provenance
 from sal_height.engine.results import Answer, DwellKey, FileProduct, Loss, Notice, Product, Remark, Result
 from sal_height.engine.settings import MapFrameSettings, MapOriginSettings
-from sal_height.engine.stage import Job, Port, Reset, Stage, StageSettings
+from sal_height.engine.stage import Job, Port, Rehearsal, Reset, Stage, StageSettings
 from sal_height.engine.tracker import PREFIX as TRACKED
+from sal_height.engine.tracker import made_up_item
 from sal_height.errors import UserError
 from sal_height.geometry import UTM, ApertureState, Origin, Projection, find_system
 from sal_height.relief import (
@@ -189,6 +191,7 @@ class Mapper(Stage):
         self._origin = self._settings.origin
         self._has_news = False
         self._publishing = False
+        self._rehearsed = False
         self._due_s = math.inf
         # The heavy side.
         self._axes = _axes_about(self._origin, self._settings.crs)
@@ -227,6 +230,15 @@ class Mapper(Stage):
         """
         raise NotImplementedError
 
+    @property
+    def is_ready(self) -> bool:
+        """True if made-up heights have been entered: the first dwell takes no longer then."""
+        return self._rehearsed
+
+    def begin(self, stamp_ns: int) -> None:  # noqa: ARG002
+        """Rehearse."""
+        self.add_own_job(Rehearsal(), self.name)
+
     def receive(self, port: str, item: Any) -> None:
         """Make a job of the heights of a dwell, or of another origin."""
         if port != MAP_ORIGIN:
@@ -253,6 +265,8 @@ class Mapper(Stage):
         """Publish the map later if it has changed, and again once it has been published."""
         if isinstance(job.inputs, Heights):
             self._has_news = self._has_news or not any(isinstance(one, Loss) for one in results)
+        elif isinstance(job.inputs, Rehearsal):
+            self._rehearsed = True
         elif isinstance(job.inputs, Reset):
             self._has_news = False
         elif job.inputs == PUBLISH:
@@ -274,6 +288,8 @@ class Mapper(Stage):
         """Enter heights, or do what was asked for."""
         if isinstance(job.inputs, Heights):
             yield from self._enter(job.inputs, job.settings)
+        elif isinstance(job.inputs, Rehearsal):
+            self._rehearse(job.settings)
         elif isinstance(job.inputs, Reset):
             self._map, self._last, self._images = None, None, 0
         elif job.inputs == PUBLISH:
@@ -287,6 +303,13 @@ class Mapper(Stage):
             yield from self._written(job.settings)
         else:
             yield from self._moved(job.inputs, job.settings)
+
+    def _rehearse(self, settings: Any) -> None:
+        """Enter made-up heights into a map of their own."""
+        spare = type(self)(settings)
+        with suppress(UserError):  # a map with these settings may have no room for them
+            for inputs in (made_up_item(settings.map_frame), PUBLISH):
+                list(spare.work(Job(None, inputs, settings)))
 
     def _enter(self, heights: Heights, settings: Any) -> Iterator[Result]:
         """Enter a height image into the map; one that is refused leaves the map unchanged."""

@@ -125,18 +125,21 @@ class Tracker(Stage):
         yield Product(f"{PREFIX}/height", product)
 
     def _rehearse(self, settings: TrackerSettings) -> None:
-        spare = Tracker(settings)
-        field, aperture = made_up_heights(np.random.default_rng(0))
-        made_up = Heights(
-            key=_NOWHERE,
-            frame_id=settings.map_frame,
-            estimator="ml",
-            aperture=Aperture.of(aperture),
-            looks=(1, 1),
-            provenance=Provenance(),
-            **packed(field),
-        )
-        list(spare.smoothed(made_up, settings))
+        list(Tracker(settings).smoothed(made_up_item(settings.map_frame), settings))
+
+
+def made_up_item(frame_id: str) -> Heights:
+    """Heights of level ground in a frame of coordinates, which a stage processes before the first real ones."""
+    field, aperture = made_up_heights(np.random.default_rng(0))
+    return Heights(
+        key=_NOWHERE,
+        frame_id=frame_id,
+        estimator="ml",
+        aperture=Aperture.of(aperture),
+        looks=(1, 1),
+        provenance=Provenance(),
+        **packed(field),
+    )
 
 
 def _series_of(heights: Heights, settings: TrackerSettings) -> tuple[Hashable, ...]:

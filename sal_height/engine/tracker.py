@@ -7,6 +7,7 @@ heights made and tracked with the same parameters. The same dwells in the same o
 from __future__ import annotations
 
 import dataclasses
+import pickle
 from collections.abc import Hashable, Iterator, Sequence
 from functools import lru_cache
 from typing import Any
@@ -129,9 +130,12 @@ class Tracker(Stage):
 
 
 def made_up_item(frame_id: str) -> Heights:
-    """Heights of level ground in a frame of coordinates, which a stage processes before the first real ones."""
+    """Heights of level ground in a frame of coordinates, which a stage processes before the first real ones.
+
+    They are as another process has sent them: compiled loops are loaded for arrays that may be written or may not.
+    """
     field, aperture = made_up_heights(np.random.default_rng(0))
-    return Heights(
+    item = Heights(
         key=_NOWHERE,
         frame_id=frame_id,
         estimator="ml",
@@ -140,6 +144,8 @@ def made_up_item(frame_id: str) -> Heights:
         provenance=Provenance(),
         **packed(field),
     )
+    received: Heights = pickle.loads(pickle.dumps(item, protocol=5))  # noqa: S301 (our own bytes)
+    return received
 
 
 def _series_of(heights: Heights, settings: TrackerSettings) -> tuple[Hashable, ...]:

@@ -197,7 +197,7 @@ def _pixels_of(field: HeightField) -> _Pixels:
         if there.any():
             end = _gather(surface, there, spacing, table, end)
     place, (height, *slope, error, own, common) = table[:2, :end], table[2:, :end]
-    return _Pixels(place, height, np.stack(slope), error, own, common)
+    return _Pixels(np.ascontiguousarray(place), height, np.stack(slope), error, own, common)
 
 
 def _gather(surface: Surface, there: Bool, spacing: float, table: F64, start: int) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from typing import Any
 
 import pytest
@@ -9,6 +10,7 @@ import pytest
 from sal_height.engine.mapper import GroundMapper, Mapper, ReliefMapper
 from sal_height.engine.results import Result
 from sal_height.engine.stage import Job, Rehearsal
+from sal_height.engine.tracker import made_up_item
 from sal_height.relief import CellMap
 
 
@@ -48,3 +50,12 @@ def results_of(stage: Mapper, job: Any) -> list[Result]:
     (results,) = stage.process([job])
     assert not stage.note_done(job, results)
     return list(results)
+
+
+def test_made_up_heights_are_as_a_worker_sends_them() -> None:
+    """Compiled loops are loaded anew for arrays that may not be written, which those from another process are."""
+    heights = made_up_item("map")
+    received = pickle.loads(pickle.dumps(heights, protocol=5))  # noqa: S301 (our own bytes)
+    for name in ("position", "velocity", "covariance"):
+        assert not getattr(heights.aperture, name).flags.writeable
+        assert getattr(received.aperture, name).flags == getattr(heights.aperture, name).flags

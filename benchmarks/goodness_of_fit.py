@@ -62,6 +62,7 @@ class Fault(NamedTuple):
 
     Attributes:
         noise_db: noise power over the stated one, dB.
+        channel_noise_db: noise power of each channel over that, dB; one for all.
         gain_db: gain of each channel, dB; one for all.
         alike_db: power of interference that is alike in all channels, over the stated noise, dB.
         correlation: that of the noise of neighbouring channels.
@@ -72,6 +73,7 @@ class Fault(NamedTuple):
     """
 
     noise_db: float = 0.0
+    channel_noise_db: tuple[float, ...] = (0.0,)
     gain_db: tuple[float, ...] = (0.0,)
     alike_db: float = -np.inf
     correlation: float = 0.0
@@ -81,7 +83,10 @@ class Fault(NamedTuple):
 
     def of(self, images: DirectImages) -> DirectImages:
         """Images of a sensor that departs so, but for its pitch."""
-        gain = np.broadcast_to(10 ** (np.array(self.gain_db) / 20), len(images.echoes)).astype(np.float32)
+        gain, level = (
+            np.broadcast_to(10 ** (np.array(one) / 20), len(images.echoes)).astype(np.float32)[:, None, None]
+            for one in (self.gain_db, self.channel_noise_db)
+        )
         # Noise of the same spectrum: that of a channel, shifted.
         alike = 10 ** (self.alike_db / 20) * np.roll(images.noise[0], (ROWS // 5, COLS // 2), axis=(0, 1))
         # n_m + c n_(m+1) has the correlation c / (1 + c^2).
@@ -89,13 +94,13 @@ class Fault(NamedTuple):
         noise = (images.noise + c * np.roll(images.noise, 1, axis=0)) / np.sqrt(1 + c * c)
         ramp = 10 ** (np.linspace(-self.over_range_db, self.over_range_db, images.noise.shape[1]) / 20)
         ramp = (ramp / np.sqrt(np.mean(ramp**2)))[:, None]
-        noise = ramp * (10 ** (self.noise_db / 20) * noise + alike)
-        echoes = gain[:, None, None] * ramp * images.echoes
+        noise = ramp * (10 ** (self.noise_db / 20) * level * noise + alike)
+        echoes = gain * ramp * images.echoes
         return replace(images, echoes=echoes.astype(np.complex64), noise=noise.astype(np.complex64))
 
 
-def _only(channel: int, gain_db: float, channels: int = 16) -> tuple[float, ...]:
-    return tuple(gain_db if m == channel else 0.0 for m in range(channels))
+def _only(channel: int, size_db: float, channels: int = 16) -> tuple[float, ...]:
+    return tuple(size_db if m == channel else 0.0 for m in range(channels))
 
 
 NONE = Fault()
@@ -104,6 +109,10 @@ FAULTS: dict[str, Fault] = {
     "noise +3 dB": Fault(3.0),
     "noise +26 dB": Fault(26.0),
     "noise -6 dB": Fault(-6.0),
+    # +3 dB leave .3 % of the heights beyond 5 sigma at 5 dB, and +6 dB 2 % at 10 dB.
+    "noise of channel 5 +3 dB": Fault(channel_noise_db=_only(5, 3.0), found=(50, 50)),
+    "noise of channel 5 +6 dB": Fault(channel_noise_db=_only(5, 6.0)),
+    "noise of channel 5 +10 dB": Fault(channel_noise_db=_only(5, 10.0)),
     # A wrong gain or pitch is the same in all dwells of a flight, so that a few with a doubt are enough.
     "channel 5 noise only": Fault(gain_db=_only(5, -200.0), found=(10, 90)),
     "channel 5 +3 dB": Fault(gain_db=_only(5, 3.0), found=(10, 90)),

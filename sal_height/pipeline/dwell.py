@@ -50,6 +50,7 @@ from sal_height.pipeline.fit import (
     DwellFit,
     fit_of,
     gain_left,
+    with_measured_channel_noise,
     with_measured_gains,
     with_measured_noise,
     without_silent,
@@ -189,6 +190,10 @@ def _with_measured(
 ) -> HeightField:
     """Heights of a dwell with gains and noise power that its tests show; the tests remain those of the description."""
     tests, errors = field.fit, known.errors
+    # Noise that one channel alone has looks like scatterers in its beam, and spoils the gains of its neighbours.
+    if even := with_measured_channel_noise(slc, field.fit):
+        slc = even
+        (field,) = _heights_of_dwells([slc], sensor, estimator, settings, calibration, known)
     # Without a channel its neighbours are not predicted well: their gains are measured when it is left out.
     if audible := without_silent(slc, field.fit):
         slc = audible

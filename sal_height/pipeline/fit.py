@@ -13,8 +13,9 @@ from sal_height.beams import Beams
 from sal_height.calibration import Calibration
 from sal_height.doubts import Doubt, FitTest
 from sal_height.elevation import HeightSettings, Looks, Residue, Window
-from sal_height.elevation.fit import channel_gains, noise_level, noise_pattern
+from sal_height.elevation.fit import channel_gains, channel_noise, noise_level, noise_pattern
 from sal_height.elevation.fit.channel_gains import BEAM_STRETCH, CHANNEL_GAIN
+from sal_height.elevation.fit.channel_noise import CHANNEL_NOISE
 from sal_height.elevation.fit.noise_level import NOISE_LEVEL, NOISE_OVER_RANGE
 from sal_height.elevation.fit.noise_pattern import CORRELATED_NOISE, INTERFERENCE
 from sal_height.elevation.fit.statistics import FitStatistics
@@ -33,6 +34,7 @@ GREATEST_GAIN = 10 ** (1.5 / 20)
 
 HARMLESS: Mapping[str, tuple[float, float]] = {
     INTERFERENCE: (-math.inf, 0.04),
+    CHANNEL_NOISE: (-math.inf, 2.0),
     CHANNEL_GAIN: (1 / GREATEST_GAIN, GREATEST_GAIN),
     BEAM_STRETCH: (-0.007, 0.007),
     CORRELATED_NOISE: (-0.1, 0.1),
@@ -41,12 +43,13 @@ HARMLESS: Mapping[str, tuple[float, float]] = {
 }
 """Sizes from the least to the greatest that leave the heights good, in the unit of each test.
 
-Below a noise level of .6 dB, less than .2 % of the heights are beyond 5 sigma. The search takes up to 2.4 dB from the
-noise of three channels where it finds nothing else.
+Below a noise level of .6 dB, and noise of a channel of 2 dB, less than .2 % of the heights are beyond 5 sigma. The
+search takes up to 2.4 dB from the noise of three channels where it finds nothing else.
 """
 
 EXPLANATIONS = (
     (INTERFERENCE,),
+    (CHANNEL_NOISE,),
     (CHANNEL_GAIN,),
     (BEAM_STRETCH,),
     (CORRELATED_NOISE,),
@@ -54,8 +57,9 @@ EXPLANATIONS = (
 )
 """Tests that may explain a dwell, the first that does first: what is wrong in one way looks wrong in others.
 
-Interference has any gain, what wrong gains and beams leave of strong scatterers looks like noise, and noise that
-channels have in common looks like less noise of each.
+Interference has any gain, noise of one channel looks like scatterers in its beam, of which its neighbours have too
+little, what wrong gains and beams leave of strong scatterers looks like noise, and noise that channels have in common
+looks like less noise of each.
 """
 
 
@@ -108,8 +112,18 @@ def fit_of(
         tests.append(noise_pattern.correlation_test(found))
         if not sensor.detector_rotation:
             tests.append(channel_gains.stretch_test(found))
+        tests += channel_noise.channel_noise_tests(found, channels)
     significant = [test for test in tests if _is_significant(test, tests)]
     return DwellFit(tuple(tests), _doubts(significant, sensor, calibration) if significant else ())
+
+
+def with_measured_channel_noise(slc: Slc, tests: Sequence[FitTest]) -> Slc | None:
+    """Images with the noise power of single channels by the tests of a dwell; None: all are as stated."""
+    power = np.array(slc.noise_power, dtype=float)
+    off = [test for test in tests if test.name == CHANNEL_NOISE and _is_significant(test, tests)]
+    for test in off:
+        power[test.channel] *= 10 ** (test.size / 10)
+    return replace(slc, noise_power=power) if off else None
 
 
 def without_silent(slc: Slc, tests: Sequence[FitTest]) -> Slc | None:
@@ -214,6 +228,12 @@ def _sentence(test: FitTest, sensor: Sensor) -> str:
             f"The beams are {side} than described, by {100 * abs(size):.1f} +- {100 * sigma:.1f} %. "
             "Heights are biased, most at the ends of the array; measure the beams (sal-height calibrate), or check "
             "the width of the antenna and the boresights in the description."
+        )
+    if test.name == CHANNEL_NOISE:
+        return (
+            f"The noise of channel {test.channel} is {size:.1f} +- {sigma:.1f} dB stronger than that of the others, "
+            "each relative to what is stated. It looks like scatterers in the beam of the channel, and heights there "
+            "are wrong; repair the receiver, or state the noise_power of each channel."
         )
     if test.name == CORRELATED_NOISE:
         return (

@@ -75,8 +75,9 @@ def test_data_that_contradict_the_description_are_a_doubt_and_a_warning() -> Non
     (doubt,) = heights.doubts
     assert doubt.name == "noise level"
     assert abs(doubt.size - 20) < 1
-    patterns = ["noise over range", "interference", "correlated noise", "beam stretch"]
-    assert [test.name for test in heights.fit] == ["noise level", *["channel gain"] * 8, *patterns]
+    of_dwell = ["noise over range", "interference", "correlated noise", "beam stretch"]
+    names = ["noise level", *["channel gain"] * 8, *of_dwell, *["noise of channel"] * 8]
+    assert [test.name for test in heights.fit] == names
     assert [(notice.kind, notice.sentence) for notice in notices] == [("noise level", f"Dwell 0: {doubt.sentence}")]
 
 

@@ -34,7 +34,8 @@ def test_a_dwell_as_described_is_not_in_doubt(scene: str, cnr_db: float) -> None
         assert np.isnan(level.size) == np.isnan(level.p_value) == np.isnan(level.sigma)
         assert not abs(level.size) > 0.6
         rest = ["noise over range", "interference", "correlated noise", "beam stretch"]
-        assert [(test.name, test.channel) for test in field.fit[17:]] == [(name, -1) for name in rest]
+        assert [(test.name, test.channel) for test in field.fit[17:21]] == [(name, -1) for name in rest]
+        assert [(test.name, test.channel) for test in field.fit[21:]] == [("noise of channel", m) for m in range(16)]
         assert np.isnan(level.size) or cnr_db < 40, "level ground fills range cells there"
 
 
@@ -67,6 +68,19 @@ def test_a_channel_of_noise_alone_is_found_and_its_neighbours_are_not_blamed(sce
         assert abs(doubt.size) < 0.2
         assert "Channel 5 " in doubt.sentence
         assert "noise" in doubt.sentence
+
+
+@pytest.mark.parametrize("scene", ["level", "street"])
+@pytest.mark.parametrize(("cnr_db", "size_db"), [(5, 6), (5, 10), (10, 6), (20, 10), (30, 6)])
+@pytest.mark.parametrize("channel", [0, 5])
+def test_the_noise_of_one_channel_is_found(scene: str, cnr_db: float, size_db: float, channel: int) -> None:
+    """Its neighbours would be said to have wrong gains, or the dwell another noise level."""
+    fault = Fault(channel_noise_db=tuple(size_db if m == channel else 0.0 for m in range(16)))
+    for field in dwells_of(scene, fault, cnr_db, dwells=DWELLS):
+        (doubt,) = field.doubts
+        assert (doubt.name, doubt.channel) == ("noise of channel", channel)
+        assert doubt.size == pytest.approx(size_db, abs=1 if size_db < 10 and cnr_db > 5 else 3)
+        assert f"channel {channel} is" in doubt.sentence
 
 
 def test_wrong_gains_are_one_doubt_about_the_worst_channel() -> None:
@@ -120,7 +134,7 @@ def test_beams_that_are_farther_from_each_other_are_found(pitch: float, word: st
 MEASURED = ML.settings(noise_and_gains="measured")  # type: ignore[call-arg]
 
 
-@pytest.mark.parametrize("name", ["noise +3 dB", "gains 2 dB rms", "channel 5 noise only"])
+@pytest.mark.parametrize("name", ["noise +3 dB", "noise of channel 5 +6 dB", "gains 2 dB rms", "channel 5 noise only"])
 def test_noise_and_gains_that_are_measured_leave_no_doubt(name: str) -> None:
     """The tests remain those of the description, and heights have more pixels than with wrong gains."""
     stated, measured = (
@@ -144,6 +158,17 @@ def test_a_silent_channel_is_left_out_and_gains_of_its_neighbours_stay(scene: st
     expected = heights(replace(slc, images=without), images.sensor, ML, ML.settings())
     np.testing.assert_array_equal(measured.first.height, expected.first.height)
     np.testing.assert_array_equal(measured.first.sigma, expected.first.sigma)
+
+
+@pytest.mark.parametrize("channel", [0, 8])
+def test_heights_with_the_measured_noise_of_a_channel_keep_what_sigma_promises(channel: int) -> None:
+    """On level ground; as described 19 % are beyond 5 sigma where channel 8 has the noise."""
+    fault = Fault(channel_noise_db=tuple(10.0 if m == channel else 0.0 for m in range(16)))
+    level = np.nanmedian([field.first.height for field in dwells_of("level", NONE, 20, dwells=DWELLS)])
+    measured = [field.first for field in dwells_of("level", fault, 10, dwells=DWELLS, settings=MEASURED)]
+    errors = np.concatenate([((one.height - level) / one.sigma).ravel() for one in measured])
+    assert np.count_nonzero(np.isfinite(errors)) > 700
+    assert np.nanmean(np.abs(errors) > 5) < 0.005
 
 
 def test_nothing_is_measured_of_a_dwell_as_described() -> None:
@@ -213,7 +238,7 @@ def test_channels_keep_their_numbers_where_one_is_dead() -> None:
     images = slc.images.copy()
     images[2] = 0
     field = heights(replace(slc, images=images), sensor, ML, ML.settings())
-    assert [test.channel for test in field.fit] == [-1, 0, 1, 3, 4, 5, 6, 7]
+    assert [test.channel for test in field.fit] == [-1, 0, 1, 3, 4, 5, 6, 7]  # seven channels have no other tests
 
 
 def test_where_ranges_are_blanked_most_rows_are_tested() -> None:

@@ -115,12 +115,13 @@ def gather_ratios(
         levels: noise level of each pixel; positive where it has one scatterer (`sort_pixels`).
         beside: power that one more scatterer would explain, noise powers.
         noise: noise power of a look.
-        least: least part |u_m|^2, and least S / K, for a channel of a pixel to count (`_add_gains`); and least S / K
+        least: least part |u_m|^2, and least S / K, for a channel of a pixel to count (`_add_channels`); and least S / K
             for the stretch of the beams.
         most_beside: fraction of the scatterer's power that one more may explain where the stretch of the beams is
             measured, and there does not seem to be a single one.
-        ratios: sum of the weights in every bin, to add to, (M + 1, BINS): gains of channels, then stretch of the beams.
-        sums: sum of the squares of the weights, and number of pixels, to add to, (2, M + 1).
+        ratios: sum of the weights in every bin, to add to, (2 M + 1, BINS): gains of channels, amplitudes of their
+            noise, stretch of the beams.
+        sums: sum of the squares of the weights, and number of pixels, to add to, (2, 2 M + 1).
         scores: sums of scores and of their variances, to add to, of pixels with several scatterers and of those with
             one, (2, 2, 2): ALIKE and NEIGHBOURS.
     """
@@ -147,7 +148,7 @@ def gather_ratios(
         level, looks = levels[row, col], noise * count[row, col]
         if level != 0:
             _add_scores(matrix, whole.real, unit, output, own, count[row, col], scores[int(level > 0)])
-        _add_gains(matrix, unit, output, own, looks, least, ratios, sums)
+        _add_channels(matrix, unit, output, own, looks, least, ratios, sums)
         if own - looks < least[2] * looks or (level <= 0 and beside[row, col] * noise > most_beside * own):
             continue
         # The slope of a over |a| is that of u and the part along u by which |a| grows.
@@ -157,11 +158,11 @@ def gather_ratios(
         for m in range(size):
             offset = (elevation[row, col] - boresights[m]) / axis[1]
             turn[m] = np.float32(offset) * (slope[m] + grows * unit[m])
-        _add_stretch(unit, slope, output, turn, own - looks, ratios[size], sums[:, size])
+        _add_stretch(unit, slope, output, turn, own - looks, ratios[2 * size], sums[:, 2 * size])
 
 
 @inlined
-def _add_gains(
+def _add_channels(
     matrix: Numbers,
     unit: Numbers,
     output: Numbers,
@@ -171,12 +172,16 @@ def _add_gains(
     ratios: F64,
     sums: F64,
 ) -> None:
-    """Add the gains of the channels of a pixel.
+    """Add the gain of each channel that the scatterer of a pixel is in, and the noise of each that it is not in.
 
     With the unit response u and w = u - u_m e_m, which is without channel m, the other channels estimate the amplitudes
     of the looks as w^H g / |w|^2, and their power, without the noise in it, as S = w^H R w / |w|^2 - K. Of it channel m
     should have the part |u_m|^2 S in common with them; it has u_m^* e_m^H R w. The weight of the ratio of both is the
     square root of that part, which is the part over the deviation of the noise in it.
+
+    A channel with a smaller part |u_m|^2, and less of the scatterer than noise, has noise: of the power that is left of
+    it, (P R P)_mm with P the projection across u, K (1 - |u_m|^2) is expected. The amplitude of the noise is the square
+    root of the ratio of both; its weight is 1.
 
     Args:
         matrix: R.
@@ -190,9 +195,17 @@ def _add_gains(
     """
     for m in range(unit.size):
         part = (np.conj(unit[m]) * unit[m]).real
-        if part < least[0] or 1 - part < least[0]:
+        shared = (np.conj(unit[m]) * output[m]).real
+        if part < least[0]:
+            if part * own < looks:
+                left = matrix[m, m].real - 2 * shared + part * own
+                ratios[unit.size + m, _bin(np.sqrt(max(left, 0.0) / (looks * (1 - part))))] += 1
+                sums[0, unit.size + m] += 1
+                sums[1, unit.size + m] += 1
             continue
-        shared, alone = (np.conj(unit[m]) * output[m]).real, part * matrix[m, m].real
+        if 1 - part < least[0]:
+            continue
+        alone = part * matrix[m, m].real
         signal = (own - 2 * shared + alone) / (1 - part) - looks
         if signal < least[1] * looks:
             continue

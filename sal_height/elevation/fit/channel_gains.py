@@ -51,7 +51,7 @@ def gain_tests(found: FitStatistics, channels: Index) -> list[FitTest]:
     Returns:
         Tests of the channels in their order: gain of the amplitude, ratio.
     """
-    *measured, _ = found.ratios
+    measured = found.gains
     ranked = sorted(gain for gain, _, number in measured if number >= FEWEST_PIXELS)
     common = ranked[len(ranked) // 2] if ranked else 0.0
     # Where a channel counts it has a half of its full response on average.
@@ -63,7 +63,7 @@ def gain_tests(found: FitStatistics, channels: Index) -> list[FitTest]:
             continue
         size, error = gain / common, math.hypot(times * sigma / common, beyond_noise)
         statistic = abs(size - 1) / error
-        tests.append(FitTest(CHANNEL_GAIN, channel, statistic, _two_tails(statistic, number), size, error, "1"))
+        tests.append(FitTest(CHANNEL_GAIN, channel, statistic, two_tails(statistic, number), size, error, "1"))
     return tests
 
 
@@ -91,16 +91,16 @@ def common_gain_test(tests: Sequence[FitTest]) -> FitTest:
 def stretch_test(found: FitStatistics) -> FitTest:
     """Test the width of the beams over the distance between them against the described one: its ratio less 1."""
     beams = found.beams
-    ratio, sigma, number = found.ratios[-1]
+    ratio, sigma, number = found.stretch
     if number < FEWEST_PIXELS:
         return FitTest(BEAM_STRETCH, unit="1")
     size, of_noise = (ratio - 1) / MAGNIFIED, math.sqrt(found.repeated) * sigma / MAGNIFIED
     error = math.hypot(of_noise, STRETCH_OF_SCENE, beams.pitch_uncertainty, 2 * beams.uncertainty)
     statistic = abs(size) / error
-    return FitTest(BEAM_STRETCH, ALL_CHANNELS, statistic, _two_tails(statistic, number), size, error, "1")
+    return FitTest(BEAM_STRETCH, ALL_CHANNELS, statistic, two_tails(statistic, number), size, error, "1")
 
 
-def _two_tails(statistic: float, number: float) -> float:
+def two_tails(statistic: float, number: float) -> float:
     """Probability of this statistic, or of a larger one, on either side, of a median over a number of pixels.
 
     A variance by the quartiles of N normal deviates is as uncertain as that of .37 N of them: Student's distribution.

@@ -41,8 +41,9 @@ class FitStatistics:
         least_looks: least number of looks of a pixel.
         levels: median noise level over the stated one of the pixels with one scatterer, and their number, in each of
             BLOCKS blocks of rows and in all of them.
-        ratios: median, its standard deviation and the number of pixels of the gain of each channel, and of the stretch
-            of the beams.
+        gains: median, its standard deviation and the number of pixels of the gain of each channel.
+        noises: the same of the amplitude of the noise of each channel over the stated one.
+        stretch: the same of the stretch of the beams.
         scores: sums of the scores and of their variances, of pixels with several scatterers and of those with one, of a
             wave alike in all channels and of noise that neighbours have in common.
     """
@@ -52,7 +53,9 @@ class FitStatistics:
     pixels: int
     least_looks: float
     levels: list[list[float]]
-    ratios: list[list[float]]
+    gains: list[list[float]]
+    noises: list[list[float]]
+    stretch: list[float]
     scores: list[list[list[float]]]
 
     @classmethod
@@ -91,7 +94,7 @@ class FitStatistics:
         )
         pixels = chosen[_evenly(inside)] if inside > MOST_PIXELS else chosen[:inside]
         matrices, numbers = _covariances(looks, pixels, is_complex=search.tables.complex_beams)
-        ratios, sums, scores = np.zeros((size + 1, BINS)), np.zeros((2, size + 1)), np.zeros((2, 2, 2))
+        ratios, sums, scores = np.zeros((2 * size + 1, BINS)), np.zeros((2, 2 * size + 1)), np.zeros((2, 2, 2))
         tables = search.tables
         gather_ratios(
             matrices,
@@ -113,11 +116,12 @@ class FitStatistics:
             sums,
             scores,
         )
-        of_levels, of_ratios = np.empty((2, BLOCKS + 1)), np.empty((3, size + 1))
+        of_levels, of_ratios = np.empty((2, BLOCKS + 1)), np.empty((3, 2 * size + 1))
         median_ratios(ratios, sums, of_ratios)
         median_levels(levels, _ends(len(levels)), of_levels)
         by_level, by_ratio = of_levels.T.tolist(), of_ratios.T.tolist()
-        return cls(beams, repeated, counted, min(few, many), by_level, by_ratio, scores.tolist())
+        gains, noises, stretch = by_ratio[:size], by_ratio[size:-1], by_ratio[-1]
+        return cls(beams, repeated, counted, min(few, many), by_level, gains, noises, stretch, scores.tolist())
 
 
 @lru_cache(maxsize=16)

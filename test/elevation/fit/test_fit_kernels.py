@@ -88,7 +88,7 @@ class Pixels:
 
     @cached_property
     def gathered(self) -> tuple[Array, Array, Array]:
-        ratios, sums = np.zeros((CHANNELS + 1, kernels.BINS)), np.zeros((2, CHANNELS + 1))
+        ratios, sums = np.zeros((2 * CHANNELS + 1, kernels.BINS)), np.zeros((2, 2 * CHANNELS + 1))
         scores, tables, numbers = np.zeros((2, 2, 2)), self.search.tables, np.arange(ROWS * COLS)
         boresights = make_beams("jinc", CHANNELS).boresights
         kernels.gather_ratios(
@@ -121,15 +121,29 @@ def pixels(request: pytest.FixtureRequest) -> Pixels:
 
 def test_gains_are_those_of_each_channel_over_what_the_others_predict(pixels: Pixels) -> None:
     ratios, sums, _ = pixels.gathered
-    found = np.empty((3, CHANNELS + 1))
+    found = np.empty((3, 2 * CHANNELS + 1))
     kernels.median_ratios(ratios, sums, found)
     values, weight = _gains(pixels)
-    _assert_medians(found[:, :-1], ratios[:-1], values, weight)
+    _assert_medians(found[:, :CHANNELS], ratios[:CHANNELS], values, weight)
+
+
+def test_noise_is_what_is_left_of_channels_without_the_scatterer(pixels: Pixels) -> None:
+    ratios, sums, _ = pixels.gathered
+    found = np.empty((3, 2 * CHANNELS + 1))
+    kernels.median_ratios(ratios, sums, found)
+    unit, _, _ = pixels.responses
+    across = np.eye(CHANNELS) - unit[:, :, None] * unit[:, None].conj()
+    left, part = np.einsum("pmm->pm", across @ pixels.matrices @ across).real, np.abs(unit) ** 2
+    own = np.einsum("pm,pmn,pn->p", unit.conj(), pixels.matrices, unit).real
+    dark = (part < LEAST[0]) & (part * own[:, None] < LOOKS * NOISE)
+    assert np.all(np.count_nonzero(dark, axis=0) > 5)
+    amplitude = np.sqrt(left / (LOOKS * NOISE * (1 - part)))
+    _assert_medians(found[:, CHANNELS:-1], ratios[CHANNELS:-1], amplitude, dark.astype(float))
 
 
 def test_the_stretch_is_that_of_the_derivative_by_the_width(pixels: Pixels) -> None:
     ratios, sums, _ = pixels.gathered
-    found = np.empty((3, CHANNELS + 1))
+    found = np.empty((3, 2 * CHANNELS + 1))
     kernels.median_ratios(ratios, sums, found)
     values, weight = _stretches(pixels)
     assert 10 < np.count_nonzero(weight) < ROWS * COLS

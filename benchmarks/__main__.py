@@ -34,6 +34,7 @@ GROUPS = {
     "honest-maps": "honest_maps:coverage",
     "honest-offsets": "honest_maps:offsets",
     "fit": "goodness_of_fit:found",
+    "emitters": "narrow_band:found",
     "trials": "calibration_trials:refused",
     "platform": "imperfect_platform:coverage",
     "adjustment": "adjusting:brought_together",

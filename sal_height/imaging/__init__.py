@@ -3,8 +3,9 @@
 Read `focus` and `strip_focus` first (`focus_dwell`, `StripFocuser`: the whole of it), then `pixels` (image grids,
 their noise, windows, and beams in strip images), `corrections` (known errors), `air` (delay and bend), `instrument`
 (errors that the sensor's description leaves), `unknown_odometry` (assumed ones of odometry, and between its samples),
-`ambiguous_position` (along the flight, by Doppler), `checks` (dwells that alias are refused), `formers` (backprojection
-and the fast ones), `autofocus` (phase errors common to all detectors) and `strip` (blocks that join).
+`ambiguous_position` (along the flight, by Doppler), `checks` (dwells that alias are refused), `interference`
+(narrow-band emitters), `formers` (backprojection and the fast ones), `autofocus` (phase errors common to all detectors)
+and `strip` (blocks that join).
 """
 
 from sal_height.imaging.air import MEASURED_AIR, STANDARD_AIR, UNKNOWN_AIR, VACUUM, StatedAir, errors_of_air
@@ -25,6 +26,7 @@ from sal_height.imaging.focus import ImageSettings, Slc, cell_response, focus_dw
 from sal_height.imaging.formers.backprojection import backproject, backproject_points
 from sal_height.imaging.formers.choice import FORMERS, FormImages
 from sal_height.imaging.instrument import instrument_errors
+from sal_height.imaging.interference import NARROW_BAND, narrow_band_doubts
 from sal_height.imaging.pixels import Processing, azimuth_resolution, image_beams, line_of_sight
 from sal_height.imaging.strip_focus import StripFocuser
 from sal_height.imaging.unknown_odometry import SPARSE_ODOMETRY, UNKNOWN_ODOMETRY, with_unknown_odometry
@@ -32,6 +34,7 @@ from sal_height.imaging.unknown_odometry import SPARSE_ODOMETRY, UNKNOWN_ODOMETR
 __all__ = [
     "FORMERS",
     "MEASURED_AIR",
+    "NARROW_BAND",
     "SPARSE_ODOMETRY",
     "STANDARD_AIR",
     "UNKNOWN_AIR",
@@ -63,6 +66,7 @@ __all__ = [
     "instrument_errors",
     "is_for_speckle",
     "line_of_sight",
+    "narrow_band_doubts",
     "stays_in_range_cell",
     "with_ambiguous_position",
     "with_errors",

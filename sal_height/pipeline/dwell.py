@@ -39,6 +39,7 @@ from sal_height.imaging import (
     cell_response,
     correct_dwell,
     focus_dwell,
+    narrow_band_doubts,
     with_ambiguous_position,
     with_known_errors,
     with_unknown_odometry,
@@ -96,6 +97,7 @@ class Compressor:
                 the calibration of another sensor.
         """
         corrected = corrected_spectrum(history, track, sensor, settings, calibration)
+        emitters = narrow_band_doubts(corrected.history.samples, corrected.sensor)
         # 5  Azimuth compression, autofocus included, with one and the same filter for all channels.
         if corrected.sensor.mode == "spotlight":
             slc: Slc | None = focus_dwell(corrected.history, corrected.track, corrected.sensor, settings)
@@ -106,6 +108,7 @@ class Compressor:
             stated = with_known_errors(slc.aperture, slc.grid.middle, corrected.sensor, settings).covariance
             slc = with_unknown_odometry(with_instrument(slc, corrected.sensor, settings), corrected)
             slc = with_ambiguous_position(slc, corrected.sensor, stated)
+            slc = replace(slc, doubts=(*slc.doubts, *emitters)) if emitters else slc
         # The calibration has raised the noise of channels that were weak.
         if slc and calibration:
             slc = replace(slc, noise_power=calibration.noise_gains(settings.range_window) * slc.noise_power)

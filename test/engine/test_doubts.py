@@ -81,6 +81,31 @@ def test_data_that_contradict_the_description_are_a_doubt_and_a_warning() -> Non
     assert [(notice.kind, notice.sentence) for notice in notices] == [("noise level", f"Dwell 0: {doubt.sentence}")]
 
 
+def test_images_and_heights_have_the_doubt_about_an_emitter() -> None:
+    """Its frequency is in all pulses and channels, as strong as the noise of all frequencies."""
+    flight = small_flight()
+    noise = float(np.mean(flight.sensor.noise_power))
+    items = [
+        (port, disturbed(item, 10 * noise) if port == PHASE_HISTORY else item)
+        for port, item in flight_items(flight, dwells=[0])
+    ]
+    ml, settings = ml_stage(), CompressionSettings(**SMALL)
+    chosen = [settings, type(ml).settings()]
+    found = made([Compression(settings), ml], chosen, items, "ml/height")
+    heights: Heights = found[0]
+    assert "narrow-band interference" in [doubt.name for doubt in heights.doubts]
+    drawn = drive(Compression(settings), [accept(*item) for item in items])
+    assert drawn.warned() == {"narrow-band interference": 1}
+
+
+def disturbed(frame: Frame, power: float) -> Frame:
+    """The frame with an emitter of that mean power over its samples in frequency 20."""
+    samples = frame.samples.view(np.complex64).copy()
+    count = samples.shape[-1]
+    samples[..., 20] += np.float32(np.sqrt(power * count))
+    return frame._replace(samples=samples.view(np.uint8).reshape(frame.samples.shape))
+
+
 def louder(frame: Frame) -> Frame:
     """The frame with samples of ten times the amplitude."""
     return frame._replace(samples=(np.float32(10) * frame.samples.view(np.float32)).view(np.uint8))

@@ -1,0 +1,65 @@
+"""Narrow-band emitters in the samples of a dwell."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchmarks.narrow_band import Emitter, emitter_of, samples_of
+from sal_height.imaging import NARROW_BAND, narrow_band_doubts
+from sal_height.imaging.interference import power_spectrum, tail
+
+
+def test_the_power_of_a_frequency_is_the_mean_over_channels_and_pulses() -> None:
+    samples = np.random.default_rng(1).standard_normal((4, 6, 2 * 50)).astype(np.float32).view(np.complex64)
+    for some in (samples, samples[::2, ::3]):
+        assert power_spectrum(some) == pytest.approx(np.mean(np.abs(some) ** 2, axis=(0, 1)), rel=1e-5)
+
+
+@pytest.mark.parametrize("shape", [1.0, 20.0, 300.0])
+def test_the_greatest_of_gamma_deviates_is_not_said_to_be_rarer_than_it_is(shape: float) -> None:
+    """Of 1000 trials with a probability of .02, 20 +- 4.5."""
+    powers = np.random.default_rng(2).gamma(shape, size=(1000, 256))
+    rare = sum(tail(row / np.median(row)) < 0.02 for row in powers)
+    assert rare < 30
+    row = powers[0] / np.median(powers[0])
+    assert tail(np.append(row, 1 + 60 / np.sqrt(shape))) < 1e-4
+
+
+@pytest.mark.parametrize("scene", ["level", "street", "slope -40 deg"])
+@pytest.mark.parametrize("cnr_db", [-100, 10, 40])
+@pytest.mark.parametrize("bright_points", [0, 1, 2, 3])
+def test_scenes_without_an_emitter_are_not_in_doubt(scene: str, cnr_db: float, bright_points: int) -> None:
+    """Two or three points of 40 dB over the noise of a pixel make ripples in the spectrum."""
+    samples, sensor = samples_of(scene, cnr_db, bright_points=bright_points)
+    assert narrow_band_doubts(samples, sensor) == ()
+
+
+@pytest.mark.parametrize("scene", ["level", "street"])
+@pytest.mark.parametrize(("cnr_db", "power_db"), [(-100, -10), (5, -10), (10, 0), (20, 0), (30, 10)])
+@pytest.mark.parametrize("in_beams", [True, False])
+def test_an_emitter_is_found_with_its_power_and_frequency(
+    scene: str, cnr_db: float, power_db: float, in_beams: bool
+) -> None:
+    samples, sensor = samples_of(scene, cnr_db)
+    frequencies = samples.shape[2]
+    one = Emitter(power_db, frequency=frequencies // 4, in_beams=in_beams)
+    (doubt,) = narrow_band_doubts(samples + emitter_of(one, samples.shape, sensor), sensor)
+    assert doubt.name == NARROW_BAND
+    assert doubt.size == pytest.approx(power_db, abs=2.5)
+    assert doubt.unit == "dB"
+    offset = sensor.frequency_step * (frequencies // 4 - (frequencies - 1) / 2)
+    assert f"{offset / 1e6:+.4g} MHz from the middle" in doubt.sentence
+
+
+def test_what_cannot_be_compared_is_not_tested() -> None:
+    """Noise of unknown power, few frequencies, and channels without samples."""
+    samples, sensor = samples_of("level", 5)
+    seen = samples + emitter_of(Emitter(10.0), samples.shape, sensor)
+    assert narrow_band_doubts(seen, sensor)
+    unknown = replace(sensor, noise_power=(0.0,) * len(samples), config_hash="")
+    assert narrow_band_doubts(seen, unknown) == ()
+    assert narrow_band_doubts(seen[..., 40:80], sensor) == ()
+    assert narrow_band_doubts(0 * seen, sensor) == ()

@@ -37,8 +37,8 @@ FEWEST_FREQUENCIES = 48
 LEAST_POWER = 0.03
 """Least mean power of an emitter that puts heights in doubt, over the noise of a sample: -15 dB."""
 
-LEAST_RATIO = 2.0
-"""Least power of its frequency over the smooth spectrum: ripples of a chirp and of receivers remain below."""
+LEAST_RATIO = 4.0
+"""Least power of its frequency over the smooth spectrum: the ripples at the ends of the band of a chirp are up to 3."""
 
 EVERY, MOST_PULSES = 2, 8
 """Channels from one that is read to the next, as the beams of neighbours overlap; and pulses that are read, which take
@@ -56,7 +56,7 @@ def narrow_band_doubts(samples: C64, sensor: Sensor) -> tuple[Doubt, ...]:
     if frequencies < FEWEST_FREQUENCIES or not noise > 0:
         return ()
     spectrum = power_spectrum(samples[::EVERY, :: -(-pulses // MOST_PULSES)])
-    smooth = median_filter(spectrum, AROUND, mode="nearest")
+    smooth = median_filter(spectrum, AROUND, mode="mirror")
     beyond = spectrum - LEAST_RATIO * smooth
     strongest = int(beyond.argmax())
     power = float(spectrum[strongest] - smooth[strongest]) / (frequencies * noise)

@@ -10,6 +10,8 @@ import pytest
 from benchmarks.narrow_band import Emitter, emitter_of, samples_of
 from sal_height.imaging import NARROW_BAND, narrow_band_doubts
 from sal_height.imaging.interference import power_spectrum, tail
+from sal_height.sensor import range_compressed
+from sal_height.simulation import flight_of, load_preset
 
 
 def test_the_power_of_a_frequency_is_the_mean_over_channels_and_pulses() -> None:
@@ -35,6 +37,25 @@ def test_scenes_without_an_emitter_are_not_in_doubt(scene: str, cnr_db: float, b
     """Two or three points of 40 dB over the noise of a pixel make ripples in the spectrum."""
     samples, sensor = samples_of(scene, cnr_db, bright_points=bright_points)
     assert narrow_band_doubts(samples, sensor) == ()
+
+
+@pytest.mark.parametrize(("pulse_duration", "record"), [(100e-9, 329), (200e-9, 580)])
+@pytest.mark.parametrize("cnr_db", [3.0, 40.0])
+def test_ripples_and_edges_of_the_band_of_a_chirp_are_no_emitter(
+    pulse_duration: float, record: int, cnr_db: float
+) -> None:
+    preset = load_preset("small")
+    chirp = replace(
+        preset.sensor,
+        waveform="chirp",
+        pulse_duration_s=pulse_duration,
+        sampling_rate_hz=2.5e9,
+        sample_count=record,
+    )
+    for seed in range(3):
+        flight = flight_of(replace(preset, cnr_db=cnr_db, sensor=chirp), seed)
+        history, sensor = range_compressed(flight.phase_history(0), flight.sensor)
+        assert narrow_band_doubts(history.samples, sensor) == ()
 
 
 @pytest.mark.parametrize("scene", ["level", "street"])

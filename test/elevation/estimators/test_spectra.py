@@ -100,16 +100,41 @@ def test_error_is_the_speckle_bound_times_the_stated_factor(looks: int, cnr_db: 
 def test_sigma_holds_as_many_errors_as_it_says(cnr_db: int, looks: int, name: str) -> None:
     """Of the valid pixels 68.3 % and 95.4 % lie within one and two sigma: to 3 points, or 5 for two looks.
 
-    One SE of the shares is 0.75 and 0.34 points for 3900 pixels; two are added.
+    An image of 64 x 64 pixels, as sigma contains the spread of a square of pixels around each: in a line of pixels the
+    noise of that is 1 % of sigma more. One SE of the shares is 0.75 and 0.34 points for 3900 pixels; two are added.
     """
-    beams, trials, rng = make_beams("jinc"), 4000, np.random.default_rng([61, looks, cnr_db])
-    offsets = rng.uniform(-3, 3, (trials, 1))
-    result = estimate(name, target_slc(beams, offsets, trials, looks, 10 ** (cnr_db / 10), rng), beams)
-    valid = result.validity[:, 0] == Validity.OK
-    normal = ((offsets_of(result) - offsets[:, 0]) * BEAMWIDTH / result.sigma[:, 0])[valid]
+    beams, side, rng = make_beams("jinc"), 64, np.random.default_rng([61, looks, cnr_db])
+    offsets = rng.uniform(-3, 3, (side**2, 1))
+    slc = target_slc(beams, offsets, side**2, looks, 10 ** (cnr_db / 10), rng)
+    result = ESTIMATORS[name](multilook(slc.reshape(beams.count, side, side * looks), 1, looks), beams)
+    valid = result.validity == Validity.OK
+    normal = ((offset_of(result.elevation) - offsets.reshape(side, side)) * BEAMWIDTH / result.sigma)[valid]
     for sigmas, share in ((1, 0.6827), (2, 0.9545)):
         error = 2 * np.sqrt(share * (1 - share) / len(normal))
         assert np.mean(np.abs(normal) < sigmas) == pytest.approx(share, abs=(0.05 if looks == 2 else 0.03) + error)
+
+
+@BOTH
+@pytest.mark.parametrize(("spread", "cnr_db", "looks"), few(1, [(0.3, 30, 16), (0.15, 20, 4)]))
+def test_sigma_of_a_surface_contains_the_distance_of_the_peak_from_its_middle(
+    spread: float, cnr_db: int, looks: int, name: str
+) -> None:
+    """Surfaces that are evenly spread, 1000 pixels: one SE of the shares is 1.6 points.
+
+    Where the peak is far from the middle of the fitted surface, sigma is that distance, which half of the errors are
+    less than. With the sigma of the middle alone 13 % of MUSIC's heights were beyond five.
+    """
+    beams, rng, count, pieces = make_beams("jinc"), np.random.default_rng([67, looks]), 1000, 24
+    middle = rng.uniform(-3, 3, (count, 1))
+    offsets = middle + spread * np.sqrt(12) * ((np.arange(pieces) + 0.5) / pieces - 0.5)
+    waves = np.sqrt(10 ** (cnr_db / 10) / pieces) * circular(rng, (count, looks, pieces))
+    slc = np.einsum("pks,psm->mpk", waves, beams.response(elevation_at(offsets), 0.0))
+    result = estimate(name, slc + circular(rng, slc.shape), beams)
+    surface = result.validity[:, 0] == Validity.EXTENDED
+    normal = ((offsets_of(result) - middle[:, 0]) * BEAMWIDTH / result.sigma[:, 0])[surface]
+    assert np.mean(surface) > 0.9
+    assert 0.48 < np.mean(np.abs(normal) < 1) < 0.75
+    assert np.mean(np.abs(normal) > 5) < 0.002 + 2 * np.sqrt(0.002 / count)
 
 
 @pytest.mark.parametrize("loading", [0.1, 1.0, 10.0])
@@ -117,7 +142,7 @@ def test_sigma_holds_as_many_errors_as_it_says(cnr_db: int, looks: int, name: st
 def test_factor_is_that_of_simulated_noise(looks: int, loading: float) -> None:
     """Least squares weighted with the inverse of a measured noise covariance, in 15 dimensions of real beams.
 
-    The law is that of many dimensions; 15 leave 2 %, or 4 % where there is little loading and K is near M / 2.
+    The law is that of many dimensions; 15 leave 0.3 %, or 1.6 % where there is little loading and K is below M / 2.
     """
     rng, samples = np.random.default_rng([62, looks]), 2 * (looks - 1)
     noise = rng.standard_normal((4000, samples, 15))
@@ -126,7 +151,7 @@ def test_factor_is_that_of_simulated_noise(looks: int, loading: float) -> None:
     weight = inverse[:, 0, :]
     variance = np.sum(weight**2, axis=1) / weight[:, 0] ** 2
     found = float(deviation_factor(np.array(float(looks)), make_beams(), loading))
-    assert found == pytest.approx(np.sqrt(np.mean(variance)), rel=0.04 if loading < 1 else 0.02)
+    assert found == pytest.approx(np.sqrt(np.mean(variance)), rel=0.025 if loading < 1 else 0.01)
 
 
 def test_factor_is_1_for_one_look_and_for_much_loading() -> None:

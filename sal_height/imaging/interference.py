@@ -41,8 +41,8 @@ LEAST_RATIO = 4.0
 """Least power of its frequency over the smooth spectrum: the ripples at the ends of the band of a chirp are up to 3."""
 
 EVERY, MOST_PULSES = 2, 8
-"""Channels from one that is read to the next, as the beams of neighbours overlap; and pulses that are read, which take
-less than 1 % of the time of the image. Pulses of an emitter that none of them has are in those of another dwell."""
+"""Channels from one that is read to the next, as the beams of neighbours overlap; and pulses that are read: all would
+take 4 % of the time of the image, these 1 to 2 %. Pulses of an emitter that none of them has are in another dwell."""
 
 
 def narrow_band_doubts(samples: C64, sensor: Sensor) -> tuple[Doubt, ...]:

@@ -251,8 +251,8 @@ class Courses:
         around = self._around(numbers, whole, found)
         energy = float(self._energies(around, [replace(found, smear=0.0, place=0.0)])[0])
         ratio = self._ratio(_SpectraOfRows(numbers, whole, bins, self._shapes(bins)), found)
-        # The image of what is at rest is not quite that of points, which leave 0.001 of its energy unexplained; of points
-        # that recede with 5 to 15 m/s they leave 0.034 to 0.26.
+        # The image of what is at rest is not quite that of points, which leave 0.001 of its energy unexplained; of
+        # points that recede with 5 to 15 m/s they leave 0.034 to 0.26.
         if ratio < max(threshold, 0.05 * energy):
             return None
         if not self.columns[0] <= found.place * bins.cell + bins.pixels // 2 < self.columns[1]:

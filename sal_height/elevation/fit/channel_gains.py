@@ -18,6 +18,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+import numpy as np
 from scipy.special import chdtrc, ndtri, stdtr
 
 from sal_height.doubts import ALL_CHANNELS, FitTest
@@ -62,9 +63,8 @@ def gain_tests(found: FitStatistics, channels: Index) -> list[FitTest]:
             tests.append(FitTest(CHANNEL_GAIN, channel, unit="1"))
             continue
         size, error = gain / common, math.hypot(times * sigma / common, beyond_noise)
-        statistic = abs(size - 1) / error
-        tests.append(FitTest(CHANNEL_GAIN, channel, statistic, two_tails(statistic, number), size, error, "1"))
-    return tests
+        tests.append(FitTest(CHANNEL_GAIN, channel, abs(size - 1) / error, size=size, sigma=error, unit="1"))
+    return with_tails(tests, [number for *_, number in measured])
 
 
 def common_gain_test(tests: Sequence[FitTest]) -> FitTest:
@@ -96,13 +96,15 @@ def stretch_test(found: FitStatistics) -> FitTest:
         return FitTest(BEAM_STRETCH, unit="1")
     size, of_noise = (ratio - 1) / MAGNIFIED, math.sqrt(found.repeated) * sigma / MAGNIFIED
     error = math.hypot(of_noise, STRETCH_OF_SCENE, beams.pitch_uncertainty, 2 * beams.uncertainty)
-    statistic = abs(size) / error
-    return FitTest(BEAM_STRETCH, ALL_CHANNELS, statistic, two_tails(statistic, number), size, error, "1")
+    test = FitTest(BEAM_STRETCH, ALL_CHANNELS, abs(size) / error, size=size, sigma=error, unit="1")
+    return with_tails([test], [number])[0]
 
 
-def two_tails(statistic: float, number: float) -> float:
-    """Probability of this statistic, or of a larger one, on either side, of a median over a number of pixels.
+def with_tails(tests: Sequence[FitTest], pixels: Sequence[float]) -> list[FitTest]:
+    """Tests of medians over numbers of pixels, with the probability of a statistic as large or larger on either side.
 
     A variance by the quartiles of N normal deviates is as uncertain as that of .37 N of them: Student's distribution.
     """
-    return 2 * float(stdtr(0.37 * number, -statistic))
+    statistics = np.array([test.statistic for test in tests])
+    tails = 2 * stdtr(0.37 * np.array(pixels), -statistics)
+    return [test._replace(p_value=tail) for test, tail in zip(tests, tails.tolist(), strict=True)]

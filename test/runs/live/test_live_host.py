@@ -74,6 +74,11 @@ class Flight:
         self.node.destroy_client(client)
         return answer.result()
 
+    def min_channels(self, product: str) -> Any:
+        """The parameter with which the last heights were made, as these state it."""
+        parameters = stages_of(self.seen.heights[product][-1].provenance.parameters)
+        return parameters[{"ml": "ml_height"}.get(product, product)]["min_channels"]
+
     def workers(self) -> dict[int, str]:
         """Names of the worker processes, by number."""
         return {number: name for number, name in self.processes().items() if name.startswith("worker ")}
@@ -120,6 +125,59 @@ def flight(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Flight]:
             program.kill()
 
 
+@pytest.fixture(scope="module")
+def parameter_set(flight: Flight) -> None:
+    """`ml_height` makes heights with a parameter that was set in flight."""
+    request = SetParametersAtomically.Request(parameters=[parameter_of("min_channels", 3).to_parameter_msg()])
+    answer = flight.ask(SetParametersAtomically, "ml_height/set_parameters_atomically", request)
+    assert answer.result.successful, answer.result.reason
+    flight.until(lambda: flight.min_channels("ml") == 3)
+
+
+@pytest.fixture(scope="module")
+def made_inactive(flight: Flight) -> int:
+    """Number of heights that monopulse has made while it was inactive; it is active again."""
+    made = 0
+    for transition in (Transition.TRANSITION_DEACTIVATE, Transition.TRANSITION_ACTIVATE):
+        request = ChangeState.Request(transition=Transition(id=transition))
+        assert flight.ask(ChangeState, "monopulse/change_state", request).success
+        if transition == Transition.TRANSITION_DEACTIVATE:
+            flight.more("ml")
+            before = len(flight.seen.heights["monopulse"])
+            flight.more("ml", 4)
+            made = len(flight.seen.heights["monopulse"]) - before
+    flight.more("monopulse")
+    return made
+
+
+@pytest.fixture(scope="module")
+def killed(flight: Flight) -> tuple[int, float]:
+    """The worker that was killed, whose place another has taken, and the time until the next two heights, s."""
+    before = flight.workers()
+    assert len(before) >= 1
+    worker = min(before)
+    flight.more("ml", 1)
+    os.kill(worker, signal.SIGKILL)
+    seconds = flight.more("ml", 2)
+    flight.until(lambda: sorted(flight.workers().values()) == sorted(before.values()))
+    return worker, seconds
+
+
+@pytest.fixture(scope="module")
+def recording(
+    flight: Flight,
+    parameter_set: None,  # noqa: ARG001
+    made_inactive: int,  # noqa: ARG001
+    killed: tuple[int, float],  # noqa: ARG001
+) -> Path:
+    """Folder of the record of the flight, with all that happened in it; it has ended."""
+    flight.program.send_signal(signal.SIGINT)
+    said, _ = flight.program.communicate(timeout=DEADLINE_S)
+    assert flight.program.returncode == 0, said
+    assert "Traceback" not in said
+    return flight.out / "run"
+
+
 def test_dwells_go_through_all_nodes_and_none_is_lost(flight: Flight) -> None:
     dwells = [image.dwell for image in flight.seen.heights["ml"]]
     assert dwells == [(dwells[0] + number) % 4 for number in range(len(dwells))]
@@ -150,65 +208,41 @@ def test_images_are_published_to_whoever_subscribes_in_flight(flight: Flight) ->
     flight.node.destroy_subscription(subscription)
 
 
+@pytest.mark.usefixtures("parameter_set")
 def test_parameters_of_a_node_can_be_set_in_flight(flight: Flight) -> None:
-    request = SetParametersAtomically.Request(parameters=[parameter_of("min_channels", 3).to_parameter_msg()])
-    answer = flight.ask(SetParametersAtomically, "ml_height/set_parameters_atomically", request)
-    assert answer.result.successful, answer.result.reason
-
-    def stated(product: str) -> Any:
-        parameters = stages_of(flight.seen.heights[product][-1].provenance.parameters)
-        return parameters[{"ml": "ml_height"}.get(product, product)]["min_channels"]
-
-    flight.until(lambda: stated("ml") == 3)
-    assert stated("monopulse") == 2
+    assert flight.min_channels("ml") == 3
+    assert flight.min_channels("monopulse") == 2
 
 
-def test_an_inactive_estimator_makes_no_heights_and_the_others_go_on(flight: Flight) -> None:
-    for transition in (Transition.TRANSITION_DEACTIVATE, Transition.TRANSITION_ACTIVATE):
-        request = ChangeState.Request(transition=Transition(id=transition))
-        assert flight.ask(ChangeState, "monopulse/change_state", request).success
-        if transition == Transition.TRANSITION_DEACTIVATE:
-            flight.more("ml")
-            before = len(flight.seen.heights["monopulse"])
-            flight.more("ml", 4)
-            assert len(flight.seen.heights["monopulse"]) == before
-    flight.more("monopulse")
+def test_an_inactive_estimator_makes_no_heights_and_the_others_go_on(flight: Flight, made_inactive: int) -> None:
+    assert made_inactive == 0
     assert {(loss.node, loss.reason) for loss in flight.seen.losses} == {("monopulse", "inactive")}
 
 
-def test_a_worker_that_is_killed_costs_its_dwells_and_heights_go_on(flight: Flight) -> None:
-    before = flight.workers()
-    assert len(before) >= 1
-    killed = min(before)
-    flight.more("ml", 1)
-    os.kill(killed, signal.SIGKILL)
-    assert flight.more("ml", 2) < 3 + 2 * 0.5  # two dwells last a part of a second each
-    flight.until(lambda: sorted(flight.workers().values()) == sorted(before.values()))
-    assert killed not in flight.workers()
+def test_a_worker_that_is_killed_costs_its_dwells_and_heights_go_on(flight: Flight, killed: tuple[int, float]) -> None:
+    worker, seconds = killed
+    assert seconds < 3 + 2 * 0.5  # two dwells last a part of a second each
+    assert worker not in flight.workers()
     assert {loss.reason for loss in flight.seen.losses} <= {"inactive", "worker ended"}
 
 
-def test_the_recorded_heights_are_those_of_the_dwells_and_the_accounts_balance(flight: Flight) -> None:
-    """Runs last, for it ends the flight."""
-    flight.program.send_signal(signal.SIGINT)
-    said, _ = flight.program.communicate(timeout=DEADLINE_S)
-    assert flight.program.returncode == 0, said
-    assert "Traceback" not in said
-    report = json.loads((flight.out / "run" / "report.json").read_text())
+def test_the_recorded_heights_are_those_of_the_dwells_and_the_accounts_balance(recording: Path) -> None:
+    """After the tests of the flight, which has ended."""
+    report = json.loads((recording / "report.json").read_text())
     for name in ("sar_compression", "ml_height", "monopulse", "relief_tracker"):
         counts = report["nodes"][name]
         lost = sum(number for key, number in counts.items() if key.startswith("dropped."))
         assert counts["in"] == counts["processed"] + lost + counts["waiting"], name
-    bag = BagReader(flight.out / "run" / "bag")
+    bag = BagReader(recording / "bag")
     heights = [deserialize(m.cdr, HeightImage) for m in bag.messages(["/ml/height"])]
     assert len(heights) > 10
     assert {stages_of(image.provenance.parameters)["ml_height"]["min_channels"] for image in heights} == {2, 3}
 
 
 @pytest.mark.parametrize("jobs", few(1, [1, None]))
-def test_the_flight_is_replayed_as_it_was(flight: Flight, jobs: int | None, tmp_path: Path) -> None:
+def test_the_flight_is_replayed_as_it_was(recording: Path, jobs: int | None, tmp_path: Path) -> None:
     """With the parameter that was set, the node that was inactive, and the worker that was killed."""
-    result = replay(flight.out / "run" / "bag", tmp_path / "out", {}, jobs=jobs)
+    result = replay(recording / "bag", tmp_path / "out", {}, jobs=jobs)
     assert {topic: one.verdict for topic, one in result.compared.items()} == dict.fromkeys(
         ("/ml/height", "/monopulse/height", "/tracked/height"), EQUAL
     )

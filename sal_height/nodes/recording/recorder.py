@@ -43,7 +43,7 @@ from sal_height.nodes.parameters import LiveParameters
 from sal_height.nodes.program import run_node
 from sal_height.nodes.recording.parameter_reader import ASK_PERIOD_S, ParameterReader
 from sal_height.nodes.recording.recorder_parameters import RecorderParameters, Selection
-from sal_height.nodes.recording.subscribing import Arrived, Looks, arrived, matching_profile, replaces_messages
+from sal_height.nodes.recording.subscribing import Arrived, TimedLooks, arrived, matching_profile, replaces_messages
 from sal_height.nodes.transport.callbacks import Repeated, guarded, guarded_with_times
 from sal_height.nodes.transport.log import RareWarnings
 from sal_height.nodes.transport.message_types import message_class
@@ -139,7 +139,7 @@ class Recorder(Role, Node):
         self._worker = threading.Thread(target=self._work, name="recorder", daemon=True)
         self._worker.start()
         self.context.on_shutdown(self.close_bag)
-        self._looks = Looks(self, guarded(self._take, self._fail))
+        self._looks = TimedLooks(self, guarded(self._take, self._fail))
         self._every(0.1, self._discover)
         if self._reader:
             self._every(ASK_PERIOD_S, partial(self._look_for_parameters, self._reader))

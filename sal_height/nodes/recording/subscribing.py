@@ -34,7 +34,7 @@ class Arrived(NamedTuple):
     info: dict[str, Any]
 
 
-class Looks:
+class TimedLooks:
     """A timer that takes what has arrived, less often while nothing arrives."""
 
     def __init__(self, node: Node, take: Callable[[], bool]) -> None:

@@ -57,7 +57,7 @@ from sal_height.nodes.recording.subscribing import (
     QUEUE_DEPTH,
     TAKE_PERIOD_S,
     Arrived,
-    Looks,
+    TimedLooks,
     in_order_of_arrival,
     replaces_messages,
 )
@@ -391,7 +391,7 @@ def test_an_executor_waits_for_messages_only_if_their_time_is_that_of_a_callback
 
 def test_the_recorder_looks_less_often_while_nothing_arrives(graph: Graph, source: Node) -> None:
     taken: list[bool] = [True]
-    looks = Looks(source, lambda: taken.append(taken[0]) or taken[0])  # type: ignore[func-returns-value]
+    looks = TimedLooks(source, lambda: taken.append(taken[0]) or taken[0])  # type: ignore[func-returns-value]
     for arrives, period_s in ((True, TAKE_PERIOD_S), (False, IDLE_PERIOD_S), (True, TAKE_PERIOD_S)):
         taken[0], before = arrives, len(taken)
         assert graph.spin_until(lambda before=before: len(taken) > before + 21, TIMEOUT_S)  # type: ignore[misc]

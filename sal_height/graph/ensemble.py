@@ -70,11 +70,15 @@ class Conductor(Node):
         offered = {topic: n for account in self.accounts.values() for topic, n in account.subscribers.items()}
         recorded = set(self._recorded) - set(UNCOUNTED)
         if unknown := sorted(recorded - offered.keys()):
+            if not all(self.accounts[name].ready for name in self._inputs):
+                return False  # an account may be older than the topics of its node
             raise UserError(f"No node of this run publishes topic {unknown[0]}; it has {', '.join(sorted(offered))}.")
         needed = Counter(topic for topic in self._inputs.values() if topic)
         needed.update([*(topic for topic in self._samples if topic in self._played), *recorded])
         alone = all(self.count_publishers(topic) == 1 for topic in self._played)
-        return alone and all(offered[topic] >= n for topic, n in needed.items()) and self._begin.service_is_ready()
+        return (
+            alone and all(offered.get(topic, 0) >= n for topic, n in needed.items()) and self._begin.service_is_ready()
+        )
 
     def ready(self) -> bool:
         """True if all nodes are connected, and have done what they do before the first dwell."""

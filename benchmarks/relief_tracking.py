@@ -62,8 +62,8 @@ def _one_dwell(rng: np.random.Generator, large: MeasuredHeights) -> Iterator[Row
         *_, before = track(field, APERTURE, before)
 
     def smooth_large() -> None:
-        prior, _ = before.after(large)
-        smoothed(large, prior)
+        if found := before.after(large):
+            smoothed(large, found[0])
 
     dwell, million = medians(lambda: track(fields[-1], APERTURE, before), smooth_large)
     pixels, cells = fields[-1].validity.size, large.height.size

@@ -120,7 +120,7 @@ class Tracker(Stage):
             heights,
             estimator=PREFIX,
             aperture=Aperture.of(heights.aperture.state),
-            provenance=provenance.stating(f"{self.name}.prior.", vars(prior)),
+            provenance=provenance.stating(f"{self.name}.prior.", vars(prior)) if prior else provenance,
             **packed(tracked),
         )
         yield Product(f"{PREFIX}/height", product)

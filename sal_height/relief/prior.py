@@ -28,7 +28,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from sal_height.errors import UserError
 from sal_height.numeric import F64, Bool
 from sal_height.relief import _tracking_kernels as kernels
 from sal_height.relief.settings import DEFAULT_TRACKING, TrackingSettings
@@ -60,18 +59,17 @@ class PriorEstimate:
 
     def after(
         self, measured: MeasuredHeights, settings: TrackingSettings = DEFAULT_TRACKING
-    ) -> tuple[ReliefPrior, PriorEstimate]:
+    ) -> tuple[ReliefPrior, PriorEstimate] | None:
         """The most likely prior of one more dwell, and the estimate of it after that dwell.
 
         Length and sigma are those that `settings` give, unless they are 0. Up to `prior_columns` columns are used, in
         windows of `window_columns`, or each as a track of its own if heights are not smoothed along track; the mean is
-        then taken as known.
-
-        Raises:
-            UserError: fewer than LEAST_STEPS pairs of consecutive measured cells of a column in the first dwell, or
-                none in a later one.
+        then taken as known. It is None for a first dwell with fewer than LEAST_STEPS pairs of consecutive measured
+        cells of a column, and for a later one without any: nothing is known of its relief.
         """
         heights = _Heights.of(measured, settings, 1 if self.information.any() else LEAST_STEPS)
+        if not heights:
+            return None
         kept, vague = 1 - 1 / settings.prior_dwells, heights.vague()
         known = kept * self.information + vague.information
         expected = _solved(known, kept * self.moment + vague.moment)
@@ -112,16 +110,13 @@ class _Heights:
     flattest: float
 
     @classmethod
-    def of(cls, measured: MeasuredHeights, settings: TrackingSettings, least_steps: int) -> _Heights:
-        """Heights of a dwell with `least_steps` pairs or more of consecutive measured cells of a column."""
+    def of(cls, measured: MeasuredHeights, settings: TrackingSettings, least_steps: int) -> _Heights | None:
+        """Heights of a dwell; None: it has fewer than `least_steps` pairs of consecutive measured cells of a column."""
         deviation, precision = measured.deviations(0.0)
         seen = precision > 0
         steps = int(np.count_nonzero(seen) - np.count_nonzero(seen.any(axis=0)))
         if steps < least_steps:
-            raise UserError(
-                f"The heights have {steps} pairs of consecutive measured cells of a column; a prior of the relief can "
-                f"be estimated from {LEAST_STEPS} or more, and brought up to date with 1 or more."
-            )
+            return None
         error = median(precision[seen]) ** -0.5
         least, low, middle, high, greatest = _quantiles(deviation[seen], (0.0, 0.16, 0.5, 0.84, 1.0))
         spread = max((high - low) / 2, error)

@@ -32,8 +32,11 @@ def track(
     aperture: ApertureState,
     before: PriorEstimate,
     settings: TrackingSettings = DEFAULT_TRACKING,
-) -> tuple[HeightField, ReliefPrior, PriorEstimate]:
+) -> tuple[HeightField, ReliefPrior | None, PriorEstimate]:
     """Track a height image (`tracked_field`) with the prior that follows from it and from the dwells before.
+
+    One with too few heights for a prior, as over woods or water, stays as it was measured: of a relief of which nothing
+    is known, neighbours know nothing.
 
     Args:
         field: measured heights.
@@ -42,13 +45,14 @@ def track(
         settings: settings of the tracking.
 
     Returns:
-        The tracked height image, the prior with which it was tracked, and the estimate of the prior after this dwell.
-
-    Raises:
-        UserError: the prior cannot be estimated (`PriorEstimate.after`).
+        The tracked height image, the prior with which it was tracked, None without one, and the estimate of the prior
+        after this dwell.
     """
     measured = MeasuredHeights(field.first.height, field.first.own_sigma, ground_spacings(field.grid))
-    prior, after = before.after(measured, settings)
+    found = before.after(measured, settings)
+    if not found:
+        return field, None, before
+    prior, after = found
     relief = smoothed(measured, prior, settings)
     return tracked_field(field, relief, aperture, settings.interpolation_limit * prior.sigma), prior, after
 

@@ -209,15 +209,12 @@ EMPTY = {"grid.rows": 0, "grid.cols": 0, "validity": np.zeros(0, np.uint8)} | {
     f"surfaces.0.{name}": NONE for name in ("height", "sigma", "cnr_db", "east", "north")
 }
 NOTHING_VALID = messages.to_bytes(np.full(SHAPE, HeightImage.LOW_CNR, np.uint8))
-ALL_NAN = messages.to_floats(np.full(SHAPE, np.nan))
 
 
 @pytest.mark.parametrize(
     ("values", "reason", "words"),
     [
         (EMPTY, "wrong size", "at least 1"),
-        ({"surfaces.0.height": ALL_NAN}, "cannot be processed", "0 pairs of consecutive"),
-        ({"validity": NOTHING_VALID}, "cannot be processed", "0 pairs of consecutive"),
         ({"surfaces.0.sigma": np.ones(1199, np.float32)}, "wrong size", "sigma has 1199 entries"),
         ({"surfaces": []}, "wrong size", "at least one"),
         ({"aperture.velocity.x": 0.0}, "wrong geometry", "velocity"),
@@ -236,6 +233,24 @@ def test_a_bad_image_is_counted_and_the_next_one_tracked(values: dict[str, Any],
     assert tracking.track(height_image(1)).dwell == 1
     summary = tracking.stage.summary()
     assert (summary["in"], summary["processed"], summary["waiting"]) == (2, 1, 0)
+
+
+def test_a_dwell_without_enough_heights_is_published_as_it_was_measured() -> None:
+    """One with no height, and one with single ones in three columns; the next is tracked as if they had not been."""
+    tracking, alone = Tracking(), Tracking()
+    sparse = np.full(SHAPE, HeightImage.LOW_CNR, np.uint8)
+    sparse[60, :3] = HeightImage.OK
+    for dwell, validity in enumerate((np.full(SHAPE, HeightImage.LOW_CNR, np.uint8), sparse)):
+        image = with_fields(height_image(dwell), {"validity": messages.to_bytes(validity)})
+        tracked = tracking.track(image)
+        np.testing.assert_array_equal(of(tracked, "validity"), validity)
+        there = validity == HeightImage.OK
+        np.testing.assert_array_equal(of(tracked, "height")[there], of(image, "height")[there])
+        assert np.isnan(of(tracked, "height")[~there]).all()
+        assert not any(one.name.startswith("relief_tracker.prior.") for one in tracked.provenance.parameters)
+    first = height_image(2)
+    np.testing.assert_array_equal(of(tracking.track(first), "height"), of(alone.track(first), "height"))
+    assert tracking.stage.counted("dropped.") == {}
 
 
 def test_single_bad_pixels_are_left_out_and_counted() -> None:

@@ -7,10 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 from drawn_reliefs import SPACING, Array, draw, measure, of, rms, tracks, uneven, within
-from helpers import refused
 from scipy.optimize import minimize
 
-from sal_height.errors import UserError
 from sal_height.relief.prior import LEAST_STEPS, PriorEstimate, _Heights
 from sal_height.relief.settings import TrackingSettings
 from sal_height.relief.smoothing import MeasuredHeights, ReliefPrior, smoothed, smoothed_columns
@@ -210,8 +208,7 @@ def test_the_first_prior_needs_measurements(cells: int) -> None:
     """As many in each of two columns; the others are empty."""
     measured = np.full((50, 5), np.nan)
     measured[:cells, 1] = measured[:cells, 3] = 1.0
-    with refused(UserError, f"{2 * max(0, cells - 1)} pairs", f"{LEAST_STEPS} or more"):
-        PriorEstimate().after(of(measured, np.ones_like(measured)))
+    assert PriorEstimate().after(of(measured, np.ones_like(measured))) is None
 
 
 def test_a_later_prior_needs_a_pair() -> None:
@@ -223,5 +220,4 @@ def test_a_later_prior_needs_a_pair() -> None:
     prior, _ = estimate.after(of(few, np.full(DWELL, 0.3)))
     assert np.all(np.abs(logs(prior) - logs(before)) < 0.3)
     few[11] = np.nan
-    with pytest.raises(UserError, match="0 pairs"):
-        estimate.after(of(few, np.full(DWELL, 0.3)))
+    assert estimate.after(of(few, np.full(DWELL, 0.3))) is None

@@ -135,7 +135,9 @@ def achieved(accuracy: Mapping[str, Mapping[str, Any]]) -> str:
         accuracy: statistics of each estimator (`surface_statistics`) by prefix of its topics.
     """
     bounded = [prefix for node, prefix in HEIGHTS.items() if not takes_heights(STAGES[node])]
-    known = {prefix: accuracy[prefix] for prefix in bounded if accuracy.get(prefix, {}).get("s68_m")}
+    # Without a lit pixel inside the array `valid` is unknown.
+    judged = {prefix: accuracy[prefix] for prefix in bounded if accuracy.get(prefix, {}).get("valid")}
+    known = {prefix: errors for prefix, errors in judged.items() if errors["s68_m"]}
     if not known:
         return ""
     best = min(known, key=lambda name: float(known[name]["s68_m"]))

@@ -29,9 +29,10 @@ WITH_BOUND = (
         ({"ml": errors(0.02, common_sigma_m=None)}, "Heights of ml: mean error +138 mm, scatter 20 mm,"),
         ({"ml": errors(0.02), "tracked": errors(0.001)}, "Heights of ml: "),
         ({"ml": errors(None)}, ""),
+        ({"ml": errors(0.02, valid=None)}, ""),
         ({}, ""),
     ],
-    ids=["best", "metres", "no common error", "tracked has no bound", "no height", "no truth"],
+    ids=["best", "metres", "no common error", "tracked has no bound", "no height", "no lit pixel", "no truth"],
 )
 def test_the_best_estimator_is_named_with_bias_scatter_tails_and_bound(accuracy: dict[str, Any], said: str) -> None:
     found = achieved(accuracy)

@@ -33,7 +33,7 @@ from benchmarks.spread import in_processes
 from sal_height.beams import Beams
 from sal_height.elevation import ESTIMATORS, Validity
 from sal_height.imaging import ImageSettings, Processing
-from sal_height.numeric import error_statistics, fraction_of, window
+from sal_height.numeric import error_statistics, fraction_of
 from sal_height.pipeline import heights
 from sal_height.relief import HeightField
 from sal_height.runs.truth.comparison import FOUND_ORDERS, TRUE_ORDERS, SurfaceComparison, compare
@@ -191,28 +191,10 @@ def measured(
     layers = 1.5 * case.scene().layer_spacing / scenes.STEP_OF_A_BEAMWIDTH
     connected = max(CONNECTED, layers)
     beams, seen = images.sensor.beams, field.first.positions
-    truth = lit_surfaces(images.surface, images.aperture, field.grid, _reached_cell(images), beams, connected, seen)
+    reach = images.processing.reach(images.cell, (images.grid.row_spacing, images.grid.col_spacing))
+    of_pixels = field.grid, images.cell, reach
+    truth = lit_surfaces(images.surface, images.aperture, *of_pixels, beams, connected, seen)
     return field, truth, images
-
-
-def _reached_cell(images: DirectImages) -> tuple[float, float]:
-    """Resolution in range and azimuth (m), half of which is from the edge of a sample to the null of its main lobe.
-
-    That is the unweighted resolution only without a window. Taylor's window has its null a whole cell from the edge:
-    at 30 dB, or with many looks, a bright roof up to there shows its height in the pixel.
-    """
-    windows = images.processing.range_window, images.processing.azimuth_window
-    spacings = images.grid.row_spacing, images.grid.col_spacing
-    parts = zip(windows, images.cell, spacings, strict=True)
-    down, across = (2 * _first_null(name) * cell - spacing for name, cell, spacing in parts)
-    return down, across
-
-
-def _first_null(name: str) -> float:
-    """Distance of the first null of a window's response from its peak, cells of the unweighted resolution."""
-    weights, cells = window(name, 512), np.linspace(0.5, 3.0, 2501)
-    position = (np.arange(512) - 255.5) / 512
-    return float(cells[np.argmax(np.cos(2 * np.pi * np.multiply.outer(cells, position)) @ weights <= 0)])
 
 
 @lru_cache(maxsize=1)

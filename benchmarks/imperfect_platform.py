@@ -30,7 +30,7 @@ from benchmarks.row import Row, load, medians, sized
 from benchmarks.spread import in_processes
 from sal_height.elevation import ESTIMATORS
 from sal_height.errors import Rejected
-from sal_height.imaging import ImageSettings, Slc, image_beams
+from sal_height.imaging import ImageSettings, Processing, Slc
 from sal_height.pipeline import Compressor, heights
 from sal_height.runs.truth.comparison import SurfaceComparison, compare, joined_comparisons
 from sal_height.runs.truth.surface_report import as_flown, true_surfaces
@@ -272,8 +272,9 @@ def _compared(slc: Slc, flight: SimulatedFlight, dwell: int, settings: ImageSett
     chosen = estimator.settings(**{"range_looks": preset.looks[0], "azimuth_looks": preset.looks[1], **parameters})
     field = heights(slc, sensor, estimator, chosen)
     seen, aperture = as_flown(field, slc.aperture, flight, dwell)
-    beams = image_beams(sensor, settings.azimuth_window)
-    truth = true_surfaces(seen, aperture, beams, flight, flight.surface(dwell))
+    processing = Processing(settings.range_window, settings.azimuth_window)
+    looks = chosen.range_looks, chosen.azimuth_looks
+    truth = true_surfaces(seen, aperture, processing, looks, flight, flight.surface(dwell))
     return compare(field, truth, sensor.beamwidth)
 
 

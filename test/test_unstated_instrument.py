@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from sal_height.elevation import ESTIMATORS, HeightSettings, MlSettings
 from sal_height.engine.image_settings import pose_settings
 from sal_height.geometry import AT_BASE_LINK, shift_along
-from sal_height.imaging import CorrectionSettings, ImageSettings, Slc, image_beams, with_known_errors
+from sal_height.imaging import CorrectionSettings, ImageSettings, Processing, Slc, with_known_errors
 from sal_height.imaging.pixels import line_of_sight
 from sal_height.numeric import fraction_of
 from sal_height.pipeline import Compressor, heights, known_beams
@@ -62,8 +62,12 @@ def compared(seed: int, stated: UncertaintySettings, delay_m: float = 0.0, **err
     slc = compressed(flight, sensor, delay_m)
     field = heights(slc, sensor, ESTIMATORS["ml"], MlSettings())
     seen, aperture = as_flown(field, slc.aperture, flight, 0)
-    beams = image_beams(sensor, slc.azimuth_window)
-    return compare(field, true_surfaces(seen, aperture, beams, flight, flight.surface(0)), sensor.beamwidth)
+    processing, looks = (
+        Processing(slc.range_window, slc.azimuth_window),
+        (MlSettings().range_looks, MlSettings().azimuth_looks),
+    )
+    truth = true_surfaces(seen, aperture, processing, looks, flight, flight.surface(0))
+    return compare(field, truth, sensor.beamwidth)
 
 
 def beyond(sigmas: float, stated: UncertaintySettings, **errors: Any) -> float:

@@ -29,7 +29,7 @@ from matplotlib.colors import LogNorm
 from sal_height.beams import column_squint
 from sal_height.elevation import ESTIMATORS, MlSettings, Validity, speckle_crb
 from sal_height.geometry import sphere_coordinates
-from sal_height.imaging import ImageSettings, azimuth_resolution, image_beams
+from sal_height.imaging import ImageSettings, Processing, azimuth_resolution, image_beams
 from sal_height.pipeline import Compressor, elevations, heights_of_dwells
 from sal_height.runs.truth.comparison import FOUND_ORDERS, TRUE_ORDERS, compare, joined_comparisons
 from sal_height.simulation import flight_of, load_preset, truth_image
@@ -112,7 +112,9 @@ comparisons, errors, sigmas, bounds = [], [], [], []
 for dwell, (slc, field) in enumerate(zip(slcs, fields, strict=True)):
     lit, beams = flight.surface(dwell), image_beams(sensor, slc.azimuth_window)
     cell = sensor.range_resolution, azimuth_resolution(sensor, slc.aperture, preset.flight.slant_range_m)
-    true_surfaces = lit_surfaces(lit, slc.aperture, field.grid, cell, beams, seen=field.first.positions)
+    spacing = slc.grid.row_spacing, slc.grid.col_spacing
+    reach = Processing(slc.range_window, slc.azimuth_window).reach(cell, spacing)
+    true_surfaces = lit_surfaces(lit, slc.aperture, field.grid, cell, reach, beams, seen=field.first.positions)
     comparisons.append(compare(field, true_surfaces, sensor.beamwidth))
     truth = truth_image(lit, slc.aperture, field.grid, cell[0] * cell[1], beams)
     squint = column_squint(field.grid, slc.aperture, sensor.beams, sensor.look_side)

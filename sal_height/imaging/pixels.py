@@ -11,7 +11,7 @@ import numpy as np
 from sal_height.beams import Beams
 from sal_height.errors import UserError
 from sal_height.geometry import ApertureState, Grid, look_direction
-from sal_height.numeric import F32, F64, noise_gain, window
+from sal_height.numeric import F32, F64, main_lobe, noise_gain, window
 from sal_height.sensor import Sensor, processed_angle
 
 MAX_PIXELS = 2**24  # of an image: 128 MB per channel as complex64
@@ -186,6 +186,19 @@ class Processing:
         taper, position = self.taper(), np.clip((sine / self.angle + 0.5) * (TAPER_NODES - 1), 0, TAPER_NODES - 1)
         node = np.minimum(position.astype(np.int32), TAPER_NODES - 2)
         return np.asarray(share * (taper[node] + (position - node) * (taper[node + 1] - taper[node])))
+
+    def reach(self, cell: tuple[float, float], spacing: tuple[float, float]) -> tuple[float, float]:
+        """Distances in range and azimuth from the edge of a pixel to the first null of its response, m.
+
+        Scatterers up to there contribute by the main lobe. Without a window that is half a cell, with the Taylor window
+        a whole one: at 30 dB, or with many looks, a bright roof up to there shows its height in the pixel.
+
+        Args:
+            cell: unweighted resolution in range and azimuth, m.
+            spacing: spacing of the pixels before looks are averaged, m.
+        """
+        down, across = main_lobe(self.range_window) * cell[0], main_lobe(self.azimuth_window) * cell[1]
+        return down - spacing[0] / 2, across - spacing[1] / 2
 
     def taper(self) -> F32:
         """The azimuth window over the processed angle, at TAPER_NODES even sines from end to end."""

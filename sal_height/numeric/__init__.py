@@ -43,7 +43,7 @@ from sal_height.numeric.transforms import (
     unit_phasors,
 )
 from sal_height.numeric.vectors import Vector, cross, dot, total, vector
-from sal_height.numeric.windows import WINDOWS, broadening, noise_gain, taylor, window
+from sal_height.numeric.windows import WINDOWS, broadening, main_lobe, noise_gain, taylor, window
 
 __all__ = [
     "C64",
@@ -91,6 +91,7 @@ __all__ = [
     "inlined",
     "joined_bytes",
     "kernel_transform",
+    "main_lobe",
     "mean_of",
     "node_before",
     "noise_gain",

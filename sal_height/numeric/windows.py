@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from functools import lru_cache
 
@@ -72,6 +73,19 @@ def noise_gain(weights: F64) -> float:
 def broadening(weights: F64) -> float:
     """Width of the response at -3 dB over that of the unweighted band: the spacing at which cells stay independent."""
     return _half_power_width(weights.tobytes()) / _half_power_width(np.ones(len(weights)).tobytes())
+
+
+@lru_cache(KEPT)
+def main_lobe(name: str) -> float:
+    """Distance from the peak of a window's response to its first null, cells of the unweighted resolution."""
+    samples, step = 512, 0.05
+    weights, position = window(name, samples), (np.arange(samples) - (samples - 1) / 2) / samples
+
+    def response(cells: float) -> float:
+        return float(weights @ np.cos(2 * np.pi * position * cells))
+
+    end = next(number for number in itertools.count(1) if response(step * number) < 0)
+    return float(brentq(response, step * (end - 1), step * end))
 
 
 @lru_cache(KEPT)

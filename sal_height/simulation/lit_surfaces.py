@@ -24,9 +24,9 @@ Scatterers on terrain are at most half a range cell apart across the line of sig
 """
 
 NEIGHBOUR_SHARE = 0.1
-"""Power with which a scatterer counts in a pixel that it misses by less than half a resolution cell.
+"""Power with which a scatterer counts in a pixel that it misses by less than the reach of the pixel.
 
-Between -4 dB at the edge of a pixel and the first null of its response half a cell farther.
+Between -4 dB at the edge of a pixel and the first null of its response.
 """
 
 
@@ -89,6 +89,7 @@ def lit_surfaces(
     aperture: ApertureState,
     grid: Grid,
     cell: tuple[float, float],
+    reach: tuple[float, float],
     beams: Beams,
     connected: float = CONNECTED,
     seen: F64 | None = None,
@@ -103,6 +104,7 @@ def lit_surfaces(
         aperture: aperture from which range and Doppler are measured.
         grid: pixels of the height image, in the slant plane.
         cell: unweighted resolution in range and azimuth, m.
+        reach: distance in range and azimuth from the edge of a pixel to the first null of its response, m.
         beams: beams of the detectors; scatterers outside them are not seen.
         connected: widest gap between the elevations of scatterers of one surface, beamwidths; wider than the spacing of
             the layers of a scene with an extent.
@@ -110,7 +112,7 @@ def lit_surfaces(
             NaN, and for None, heights belong to the middle of their scatterers.
     """
     places = np.stack(_places(surface.positions, aperture, grid), axis=-1)
-    pixel, scatterer, share = _members(places, grid, cell)
+    pixel, scatterer, share = _members(places, grid, reach)
     # Scatterers of a pixel in the order of their elevations; a new surface starts after each gap.
     order = np.lexsort((surface.elevation[scatterer], pixel))
     pixel, scatterer, share = pixel[order], scatterer[order], share[order]
@@ -129,12 +131,12 @@ def lit_surfaces(
     middle = np.stack([total(weight * part) for part in place.T], axis=-1) / power[:, None]
     off = place - middle[label]
     higher = surface.heights[scatterer] - height[label]
-    slope, reach = _plane(off, higher, weight, label)
+    slope, extent = _plane(off, higher, weight, label)
     above, start = higher - np.sum(slope[label] * off, axis=-1), np.flatnonzero(starts)
     lowest, highest = (bound.reduceat(above, start) if len(start) else above for bound in (np.minimum, np.maximum))
     if seen is not None:
         asked = np.stack(_places(seen, aperture, grid), axis=-1).reshape(-1, 2)[pixel[starts]]
-        height += np.sum(slope * np.clip(np.nan_to_num(asked - middle), -reach, reach), axis=-1)
+        height += np.sum(slope * np.clip(np.nan_to_num(asked - middle), -extent, extent), axis=-1)
     received = power * beams.power(mean, total(weight * surface.squint[scatterer]) / power)
     inside = (mean >= beams.span[0]) & (mean <= beams.span[1])
     # Surfaces of a pixel in the order of the power received of them.
@@ -154,7 +156,7 @@ def lit_surfaces(
         height=placed(height),
         elevation=placed(mean),
         spread=placed(spread),
-        power=placed(power) / _cells(grid, cell),
+        power=placed(power) / _cells(grid, cell, reach),
         received=strength / strength[0],
         inside=placed(inside.astype(np.float64)) == 1,
         rise=placed(slope[:, 1]) / grid.col_spacing,
@@ -193,20 +195,20 @@ def _places(positions: F64, aperture: ApertureState, grid: Grid) -> tuple[F64, F
     return pixels_at(across, along, aperture, grid)
 
 
-def _members(places: F64, grid: Grid, cell: tuple[float, float]) -> tuple[Index, Index, F64]:
+def _members(places: F64, grid: Grid, reach: tuple[float, float]) -> tuple[Index, Index, F64]:
     """Pairs of pixel and scatterer: number of the pixel, of the scatterer, and fraction of its power.
 
     A scatterer has its whole power in its own pixel, and NEIGHBOUR_SHARE of it in those that it misses by
-    less than half a resolution cell. `places` are rows and columns, (scatterers, 2).
+    less than its reach (m, in range and azimuth). `places` are rows and columns, (scatterers, 2).
     """
     row, col = places.T
     near_row, near_col = np.rint(row), np.rint(col)
-    reach = 0.5 + np.array(cell) / 2 / (grid.row_spacing, grid.col_spacing)
+    most = 0.5 + np.array(reach) / (grid.row_spacing, grid.col_spacing)
     parts = []
     for down in (-1, 0, 1):
         for right in (-1, 0, 1):
             at_row, at_col = near_row + down, near_col + right
-            belongs = (np.abs(row - at_row) <= reach[0]) & (np.abs(col - at_col) <= reach[1])
+            belongs = (np.abs(row - at_row) <= most[0]) & (np.abs(col - at_col) <= most[1])
             belongs &= (at_row >= 0) & (at_row < grid.rows) & (at_col >= 0) & (at_col < grid.cols)
             which = np.flatnonzero(belongs)
             number = (at_row[which] * grid.cols + at_col[which]).astype(np.intp)
@@ -216,10 +218,10 @@ def _members(places: F64, grid: Grid, cell: tuple[float, float]) -> tuple[Index,
     return pixel, scatterer, shares
 
 
-def _cells(grid: Grid, cell: tuple[float, float]) -> float:
+def _cells(grid: Grid, cell: tuple[float, float], reach: tuple[float, float]) -> float:
     """Resolution cells from which a pixel has power, neighbours by their fraction."""
     own = grid.row_spacing * grid.col_spacing
-    reached = (grid.row_spacing + cell[0]) * (grid.col_spacing + cell[1])
+    reached = (grid.row_spacing + 2 * reach[0]) * (grid.col_spacing + 2 * reach[1])
     return (own + NEIGHBOUR_SHARE * (reached - own)) / (cell[0] * cell[1])
 
 

@@ -80,3 +80,10 @@ def test_sensor_that_does_not_look_sideways_is_refused() -> None:
     ahead = make_aperture(angles=(0, 0, np.pi / 2), velocity=(0.0, 0.0, -50.0))
     with refused(UserError, "line of sight", "must look sideways"):
         slant_plane_grid(down, ahead, 5000.0, 4, 4, 1.0)
+
+
+def test_pixels_reach_to_the_null_of_their_windows() -> None:
+    """Half a cell without a window; with the Taylor window, in pixels as wide as its response, a whole one."""
+    down, across = Processing("taylor", "rectangular").reach((0.05, 0.005), (0.05 * 1.19, 0.005))
+    assert down == pytest.approx(0.05 * 1.07, rel=0.02)
+    assert across == pytest.approx(0.0025, rel=1e-9)

@@ -9,7 +9,7 @@ import pytest
 
 from sal_height.elevation import ESTIMATORS
 from sal_height.geometry import ASSUMED_TURNING, NOT_STATED, STEADY, Motion, Trajectory
-from sal_height.imaging import SPARSE_ODOMETRY, ImageSettings, Slc, image_beams
+from sal_height.imaging import SPARSE_ODOMETRY, ImageSettings, Processing, Slc
 from sal_height.pipeline import Compressor, heights
 from sal_height.runs.truth.comparison import PublishedErrors, compare, joined_errors
 from sal_height.runs.truth.surface_report import as_flown, true_surfaces
@@ -71,7 +71,8 @@ def errors_of(flight: SimulatedFlight, motion: Motion, dwell: int) -> PublishedE
     slc, ml, looks = compressed(flight, motion, dwell), ESTIMATORS["ml"], flight.preset.looks
     field = heights(slc, flight.sensor, ml, ml.settings(range_looks=looks[0], azimuth_looks=looks[1]))
     seen, aperture = as_flown(field, slc.aperture, flight, dwell)
-    truth = true_surfaces(seen, aperture, image_beams(flight.sensor, "taylor"), flight, flight.surface(dwell))
+    processing = Processing(slc.range_window, slc.azimuth_window)
+    truth = true_surfaces(seen, aperture, processing, looks, flight, flight.surface(dwell))
     return compare(field, truth, flight.sensor.beamwidth).errors
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from sal_height.elevation import ESTIMATORS
 from sal_height.geometry import EXACT, Mounting, OdometryAccuracy, Trajectory, shift_along
-from sal_height.imaging import UNKNOWN_ODOMETRY, Centroid, ImageSettings, Placement, Slc, image_beams, line_of_sight
+from sal_height.imaging import UNKNOWN_ODOMETRY, Centroid, ImageSettings, Placement, Processing, Slc, line_of_sight
 from sal_height.numeric import F64
 from sal_height.pipeline import Compressor, heights
 from sal_height.runs.truth.comparison import PublishedErrors, compare, joined_errors
@@ -177,8 +177,8 @@ def errors_of(flight: SimulatedFlight, dwell: int, accuracy: OdometryAccuracy) -
     slc, ml = compressed(flight, ZEROS, NO_SPEEDS, accuracy, dwell, settings), ESTIMATORS["ml"]
     field = heights(slc, flight.sensor, ml, ml.settings(range_looks=2, azimuth_looks=2))
     seen, aperture = as_flown(field, slc.aperture, flight, dwell)
-    beams = image_beams(flight.sensor, settings.azimuth_window)
-    truth = true_surfaces(seen, aperture, beams, flight, flight.surface(dwell))
+    processing = Processing(settings.range_window, settings.azimuth_window)
+    truth = true_surfaces(seen, aperture, processing, (2, 2), flight, flight.surface(dwell))
     return compare(field, truth, flight.sensor.beamwidth).errors
 
 

@@ -9,7 +9,7 @@ from scipy.optimize import brentq
 from scipy.signal import windows
 
 from sal_height.errors import UserError
-from sal_height.numeric.windows import WINDOWS, broadening, noise_gain, taylor, window
+from sal_height.numeric.windows import WINDOWS, broadening, main_lobe, noise_gain, taylor, window
 
 COUNT = 1024
 
@@ -76,3 +76,11 @@ def test_taylor_weights_are_those_of_scipy(count: int, sidelobe_db: float) -> No
     """To the last digit."""
     expected = windows.taylor(count, nbar=5, sll=sidelobe_db)
     np.testing.assert_array_equal(taylor(count, sidelobe_db), expected)
+
+
+@pytest.mark.parametrize("name", sorted(WINDOWS))
+def test_main_lobe_ends_at_the_first_null_of_the_textbook(name: str) -> None:
+    """Taylor's is s (A^2 + 1/4)^1/2 with cosh(pi A) = 10^(35/20) and s = 5 / (A^2 + 4.5^2)^1/2; Hamming's is 2."""
+    a = np.arccosh(10 ** (35 / 20)) / np.pi
+    nulls = {"rectangular": 1.0, "hamming": 2.0, "taylor": 5 / np.hypot(a, 4.5) * np.hypot(a, 0.5)}
+    assert main_lobe(name) == pytest.approx(nulls[name], rel=0.005)  # of the 512 samples

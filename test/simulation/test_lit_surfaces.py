@@ -25,14 +25,23 @@ DROP = float(-sphere_point(0.0, AIM, 0.0)[2])
 """By which the ground there lies below the tangent plane of the map, m."""
 
 
-def truth_of(scene: Scene, rows: int = 90, off: tuple[float, float] = (0.0, 0.0)) -> tuple[LitSurfaces, Grid, F64]:
-    """Lit surfaces, at places so many pixels off the middle, grid, and slant range of each row in mid-image."""
+def truth_of(
+    scene: Scene, rows: int = 90, off: tuple[float, float] = (0.0, 0.0), reach: tuple[float, float] | None = None
+) -> tuple[LitSurfaces, Grid, F64]:
+    """Lit surfaces, at places so many pixels off the middle, grid, and slant range of each row in mid-image.
+
+    The reach of pixels is that without a window unless another is given.
+    """
     half = 9 * CELL[1]
     surface = visible_surface(scene, make_aperture(), 1, CELL, (-half, half), (4994.0, 5006.0))
     grid = slant_plane_grid(SENSOR, make_aperture(), 5000.0, rows, 12, 1.2)
     ranges = np.linalg.norm(grid.points(np.arange(rows), 5.5) - make_aperture().position, axis=-1)
     seen = grid.points(*(index + shift for index, shift in zip(np.indices(grid.shape), off, strict=True)))
-    return lit_surfaces(surface, make_aperture(), grid, CELL, BEAMS, seen=seen if any(off) else None), grid, ranges
+    half_cell = CELL[0] / 2, CELL[1] / 2
+    truth = lit_surfaces(
+        surface, make_aperture(), grid, CELL, reach or half_cell, BEAMS, seen=seen if any(off) else None
+    )
+    return truth, grid, ranges
 
 
 def profile(north: list[float], height: list[float]) -> Scene:
@@ -46,8 +55,10 @@ def range_of(north: float, height: float) -> float:
     return float(np.linalg.norm(sphere_point(0.0, AIM + north, height) - make_aperture().position))
 
 
-def test_level_ground_is_one_surface_of_power_one() -> None:
-    truth, _, _ = truth_of(flat_scene(2.5, north=AIM))
+@pytest.mark.parametrize("reach", [None, (1.1 * CELL[0], CELL[1] / 2)])
+def test_level_ground_is_one_surface_of_power_one(reach: tuple[float, float] | None) -> None:
+    """Whatever the reach of its pixels."""
+    truth, _, _ = truth_of(flat_scene(2.5, north=AIM), reach=reach)
     inside = truth.inside[0]
     assert np.count_nonzero(inside) > 100
     np.testing.assert_array_equal(truth.count[inside], 1)
@@ -87,6 +98,17 @@ def test_wall_lays_three_surfaces_over_each_other_from_the_range_of_its_top_to_t
     np.testing.assert_allclose(found[0], 0, atol=0.01)
     np.testing.assert_allclose(found[1], face, atol=0.02)
     np.testing.assert_allclose(found[2], height, atol=0.01)
+
+
+def test_a_roof_counts_in_the_pixels_within_whose_reach_it_is() -> None:
+    """Its edge is nearer than the ground below it: of roofs at ten heights, .9 cells more show it in .75 rows more."""
+    rows = []
+    for height in np.linspace(1.9, 2.1, 10):
+        roof = profile([-40.0, -0.01, 0.0, 40.0], [height, height, 0.0, 0.0])
+        for cells in (0.2, 1.1):
+            truth, grid, _ = truth_of(roof, reach=(cells * CELL[0], CELL[1] / 2))
+            rows.append(np.count_nonzero(np.nanmax(truth.height[:, :, 5], axis=0) > 1.8))
+    assert np.mean(np.diff(rows)[::2]) == pytest.approx(0.9 * CELL[0] / grid.row_spacing, abs=0.15)
 
 
 @pytest.mark.parametrize("height", [0.8, 1.5])

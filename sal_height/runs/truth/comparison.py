@@ -67,6 +67,16 @@ class PublishedErrors:
         """Fraction that is farther than 5 sigma from the surface it should be, or has none; NaN of no surfaces."""
         return mean_of(~(np.abs(self.own) <= 5 * self.sigma))
 
+    @property
+    def within_extent(self) -> Bool:
+        """True between the scatterers of a surface that extends over elevations, where the error is 0 by definition."""
+        return self.nearest == 0.0
+
+    @property
+    def from_one_height(self) -> PublishedErrors:
+        """Those with an error from one true height: neither where nothing is lit nor within the extent of a surface."""
+        return self.where(np.isfinite(self.nearest) & ~self.within_extent)
+
     def where(self, chosen: Bool) -> PublishedErrors:
         """Some of the surfaces."""
         return PublishedErrors(*(getattr(self, entry.name)[chosen] for entry in fields(self)))

@@ -161,7 +161,7 @@ def _scales(judgements: Mapping[str, Judged], pictures: Mapping[str, GroundPictu
     shown = [layers[0].terrain, *(one.height for name, one in pictures.items() if name != PREFIX)]
     heights = np.concatenate([layer.ravel() for layer in shown])
     errors, sigmas = (np.concatenate([getattr(one, name).ravel() for one in layers]) for name in ("error", "sigma"))
-    worst = max(error_limit(one.comparison.errors.nearest) for one in judgements.values())
+    worst = max(error_limit(one.comparison.errors.from_one_height.nearest) for one in judgements.values())
     norms = Normalize(*height_limits(layers[0].terrain, worst)), Normalize(-worst, worst), log_norm(sigmas)
     unit, factor = ("km", 1e-3) if np.ptp(layers[0].extent[:2]) > 3000 else ("m", 1.0)
     return _Scales(*norms, heights, errors, sigmas, unit, factor)
@@ -234,15 +234,15 @@ def _draw_found(axis: Axes, name: str, picture: GroundPicture, judgement: Judged
     ground = judgement.ground
     _show(axis, picture, picture.height, scales.height, HEIGHTS, scales.factor)
     right = number_text(ground.shares["right"], ".1f", 100.0)
-    axis.set_title(f"{title_of(name)}\n{right} % of lit ground within {ground.tolerance:.2g} m of the truth")
+    axis.set_title(f"{title_of(name)}\n{right} % of lit ground\nwithin {ground.tolerance:.2g} m of the truth")
 
 
 def _draw_error(axis: Axes, name: str, picture: GroundPicture, judgement: Judged, scales: _Scales) -> None:
     _show(axis, picture, picture.error, scales.error, ERRORS, scales.factor)
     _show(axis, picture, picture.ghost, Normalize(0, 1), ListedColormap([FAULT]), scales.factor)
-    errors = judgement.comparison.errors.nearest
-    bias = mean_of(errors[np.isfinite(errors)])
-    axis.set_title(f"error, {name}\nbias {bias:+.2g} m, s68 {_s68(errors):.2g} m")
+    errors = judgement.comparison.errors.from_one_height.nearest
+    known = f"bias {mean_of(errors):+.2g} m, s68 {half_width(errors):.2g} m" if errors.size else "no error known"
+    axis.set_title(f"error, {name}\n{known}")
 
 
 def _name_axes(axes: npt.NDArray[Any], unit: str) -> None:
@@ -330,11 +330,4 @@ def percent_text(share: float) -> str:
 
 def error_limit(error: F64) -> float:
     """End of a colour scale of errors, m: that of their median and three s68, so that a common error is seen."""
-    known = error[np.isfinite(error)]
-    return abs(float(np.median(known))) + 3 * _s68(known) if known.size else 1.0
-
-
-def _s68(error: F64) -> float:
-    """Half the width from 16 to 84 %; 1 if there is no error at all, so that a colour scale exists."""
-    known = error[np.isfinite(error)]
-    return half_width(known) if known.size else 1.0
+    return abs(float(np.median(error))) + 3 * half_width(error) if error.size else 1.0

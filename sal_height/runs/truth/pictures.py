@@ -101,7 +101,7 @@ def draw_ground(estimate: GroundEstimate, truth: TrueGround, path: Path) -> None
     extent = (west * factor, west * factor + cols * size, south * factor, south * factor + rows * size)
     how: dict[str, Any] = {"extent": extent, "origin": "lower", "interpolation": "nearest"}
     error = np.where(truth.lit, estimate.height - truth.height, np.nan)
-    worst = error_limit(error)
+    worst = error_limit(error[np.isfinite(error)])
     lit = np.where(truth.lit, truth.height, np.nan)
     heights, errors = Normalize(*height_limits(lit, worst)), Normalize(-worst, worst)
     steps = estimate.cell_size, estimate.cell_size

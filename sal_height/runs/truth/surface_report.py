@@ -16,7 +16,7 @@ from sal_height import messages
 from sal_height.beams import Beams, column_squint
 from sal_height.elevation import USABLE, Validity, speckle_crb
 from sal_height.geometry import ApertureState
-from sal_height.imaging import azimuth_resolution, image_beams
+from sal_height.imaging import Processing, azimuth_resolution, image_beams
 from sal_height.io import or_null
 from sal_height.messages.types import HeightImage
 from sal_height.numeric import F64, Bool, Index, error_statistics, fraction_of, mean_of
@@ -127,18 +127,34 @@ def as_flown(
 
 
 def true_surfaces(
-    field: HeightField, aperture: ApertureState, beams: Beams, flight: SimulatedFlight, surface: VisibleSurface
+    field: HeightField,
+    aperture: ApertureState,
+    processing: Processing,
+    looks: tuple[int, int],
+    flight: SimulatedFlight,
+    surface: VisibleSurface,
 ) -> LitSurfaces:
-    """The lit surfaces of the pixels of a height image, and of those beside it along the flight within reach."""
+    """The lit surfaces of the pixels of a height image, and of those beside it along the flight within reach.
+
+    Args:
+        field: height image, with its grid as it was flown.
+        aperture: its aperture, as it was flown.
+        processing: windows of the images.
+        looks: pixels of the images that were averaged in range and azimuth.
+        flight: flight that was simulated.
+        surface: lit scatterers.
+    """
     grid = field.grid
     farthest = int(np.ptp(surface.positions @ grid.col_direction) / grid.col_spacing)
-    reach = min(reach_along(field), farthest)
-    wide = replace(grid, origin=grid.points(0, -reach), cols=grid.cols + 2 * reach)
-    seen = np.pad(field.first.positions, ((0, 0), (reach, reach), (0, 0)), constant_values=np.nan)
+    beside = min(reach_along(field), farthest)
+    wide = replace(grid, origin=grid.points(0, -beside), cols=grid.cols + 2 * beside)
+    seen = np.pad(field.first.positions, ((0, 0), (beside, beside), (0, 0)), constant_values=np.nan)
     sensor = flight.sensor
     connected = max(CONNECTED, 1.5 * flight.scene.layer_spacing / height_beamwidth(flight))
     cell = sensor.range_resolution, azimuth_resolution(sensor, aperture, flight.preset.flight.slant_range_m)
-    return lit_surfaces(surface, aperture, wide, cell, beams, connected, seen)
+    reach = processing.reach(cell, (grid.row_spacing / looks[0], grid.col_spacing / looks[1]))
+    beams = image_beams(sensor, processing.azimuth_window)
+    return lit_surfaces(surface, aperture, wide, cell, reach, beams, connected, seen)
 
 
 def judged(images: Sequence[HeightImage], flight: SimulatedFlight, surfaces: Mapping[int, VisibleSurface]) -> Judged:
@@ -152,12 +168,15 @@ def judged(images: Sequence[HeightImage], flight: SimulatedFlight, surfaces: Map
     for image in tqdm(images, desc=f"truth of {images[0].estimator}", unit="image", delay=1, leave=False):
         field, published_as = messages.field_from_message(image), messages.aperture_from_message(image.aperture)
         flown, aperture = as_flown(field, published_as, flight, image.dwell)
-        beams = image_beams(sensor, messages.recorded_window(image.provenance, "azimuth"))
-        surface = surfaces[image.dwell]
-        truth = true_surfaces(flown, aperture, beams, flight, surface)
+        range_window, azimuth_window = (
+            messages.recorded_window(image.provenance, axis) for axis in ("range", "azimuth")
+        )
+        processing, looks = Processing(range_window, azimuth_window), (image.range_looks, image.azimuth_looks)
+        beams, surface = image_beams(sensor, processing.azimuth_window), surfaces[image.dwell]
+        truth = true_surfaces(flown, aperture, processing, looks, flight, surface)
         comparisons.append(compare(field, truth, sensor.beamwidth))
         of_pixels = truth.middle(field.grid.cols)
-        bound = height_bound(of_pixels, flown, aperture, beams, flight, image.range_looks * image.azimuth_looks)
+        bound = height_bound(of_pixels, flown, aperture, beams, flight, looks[0] * looks[1])
         one = true_order(of_pixels, sensor.beamwidth) == TRUE_ORDERS.index("one")
         bounds.append(bound[one & (field.validity == Validity.OK)])
         cells = ground_cells(flight.scene, surface, aperture, flown.grid, beams, sensor.look_side, size)
@@ -249,14 +268,19 @@ def surface_statistics(judgement: Judged | None) -> dict[str, Any]:
 def _errors(errors: PublishedErrors) -> dict[str, Any]:
     """Number of surfaces, number of those in shadow, and errors of the others from the nearest true surface.
 
-    `common_sigma_m` is the mean of that part of sigma which all pixels share, m. `own_beyond_5_sigma` is the fraction
-    that is farther than 5 sigma from the surface it should be, or has none.
+    `within_extent` is the number of those between the scatterers of a surface that extends over elevations, such as a
+    crown: they count as right, but not in what is in metres, as they have no true height. `common_sigma_m` is the mean
+    of that part of sigma which all pixels share, m. `own_beyond_5_sigma` is the fraction that is farther than 5 sigma
+    from the surface it should be, or has none.
     """
-    near = errors.where(np.isfinite(errors.nearest))
+    near, measured = errors.where(np.isfinite(errors.nearest)), errors.from_one_height
+    in_metres = [key for key in COVERAGE if key.endswith("_m")]
     return {
         "surfaces": len(errors.sigma),
         "in_shadow": int(np.count_nonzero(errors.ghost)),
+        "within_extent": int(np.count_nonzero(errors.within_extent)),
         **error_statistics(near.nearest, near.sigma).in_metres(COVERAGE),
+        **error_statistics(measured.nearest, measured.sigma).in_metres(in_metres),
         "common_sigma_m": or_null(mean_of(near.common)),
         "own_beyond_5_sigma": or_null(near.own_beyond_5_sigma),
     }

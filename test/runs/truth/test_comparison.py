@@ -153,3 +153,12 @@ def test_what_is_extended_is_as_sure_as_its_spread() -> None:
     field = replace(field, surfaces=(replace(field.first, spread=0 * field.first.height + 0.2),))
     result = compare(field, truth_of((1.1,), (1.1,)), BEAMWIDTH)
     np.testing.assert_allclose(result.errors.sigma, [np.hypot(0.1, 0.2), 0.1])
+
+
+def test_heights_within_the_extent_of_a_crown_have_no_error_from_one_height() -> None:
+    """The first is within, the second half a metre above, and the third in a pixel next to that, 1 m below."""
+    field = field_of([Validity.OK, Validity.OK, Validity.OK], [3.5, 4.5, 0.0])
+    truth = truth_of((4.0,), (4.0,), wide=True)
+    errors = compare(field, replace(truth, lowest=0 * truth.height - 3.0), BEAMWIDTH).errors
+    np.testing.assert_array_equal(errors.within_extent, [True, False, False])
+    np.testing.assert_allclose(errors.from_one_height.nearest, [0.5, -1.0])

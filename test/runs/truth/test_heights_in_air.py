@@ -10,7 +10,7 @@ import pytest
 
 from sal_height.elevation import ESTIMATORS
 from sal_height.geometry import STANDARD_ATMOSPHERE, Atmosphere
-from sal_height.imaging import ImageSettings, image_beams
+from sal_height.imaging import ImageSettings, Processing
 from sal_height.numeric import F64
 from sal_height.pipeline import Compressor, heights
 from sal_height.runs.truth.comparison import compare
@@ -39,8 +39,8 @@ def errors_in_sigmas(through: Atmosphere | None, **settings: object) -> F64:
         looks = estimator.settings(range_looks=preset.looks[0], azimuth_looks=preset.looks[1])
         field = heights(slc, flight.sensor, estimator, looks)
         seen, aperture = as_flown(field, slc.aperture, flight, 0)
-        beams = image_beams(flight.sensor, image.azimuth_window)
-        truth = true_surfaces(seen, aperture, beams, flight, flight.surface(0))
+        processing = Processing(image.range_window, image.azimuth_window)
+        truth = true_surfaces(seen, aperture, processing, preset.looks, flight, flight.surface(0))
         errors = compare(field, truth, flight.sensor.beamwidth).errors
         found.append(errors.nearest / errors.sigma)
     every = np.concatenate(found)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers import blocks, few
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from sal_height import messages
 from sal_height.elevation import ESTIMATORS
@@ -16,21 +17,23 @@ from sal_height.elevation.looks.looks import look_grid
 from sal_height.errors import UserError
 from sal_height.geometry.frames import aperture_at
 from sal_height.geometry.trajectory import locate_at_elevation
-from sal_height.imaging import ImageSettings, image_beams
+from sal_height.imaging import ImageSettings, Processing, image_beams
 from sal_height.imaging.pixels import azimuth_resolution, slant_plane_grid
 from sal_height.messages import to_floats
 from sal_height.messages.types import ComplexImage, HeightImage, Provenance
 from sal_height.pipeline import Compressor, heights
 from sal_height.relief import GroundEstimate, GroundKind
 from sal_height.relief.heights import HeightField, Surface
+from sal_height.runs.truth import surface_report
 from sal_height.runs.truth.comparison import PublishedErrors, compare
+from sal_height.runs.truth.height_picture import draw_heights
 from sal_height.runs.truth.pictures import draw_ground
-from sal_height.runs.truth.report import TrueGround, ground_statistics, read_accuracy
+from sal_height.runs.truth.report import TrueGround, ground_statistics, read_accuracy, read_images
 from sal_height.runs.truth.surface_report import as_flown, height_bound, judged, surface_statistics, true_surfaces
 from sal_height.simulation import flight_of, load_preset
 from sal_height.simulation.flight import SimulatedFlight
 from sal_height.simulation.impairments import Impairments
-from sal_height.simulation.lit_surfaces import truth_image
+from sal_height.simulation.lit_surfaces import LitSurfaces, truth_image
 from sal_height.simulation.odometry_errors import OdometryErrors
 from sal_height.simulation.preset import Preset
 from sal_height.simulation.scene import Scene
@@ -88,6 +91,25 @@ def test_ground_with_too_many_cells_is_left_out_of_the_report(
     assert "100" in said
 
 
+def test_titles_of_the_heights_are_not_cut_off(
+    recorded: Path, two_dwells: Preset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shown, cut = [], []
+
+    class Canvas(FigureCanvasAgg):
+        def draw(self) -> None:
+            super().draw()
+            titles = [axis.title for axis in self.figure.axes]
+            shown.extend(title.get_text() for title in titles)
+            cut.extend(title.get_text() for title in titles if title.get_text() and title.get_window_extent().x0 < 0)
+
+    monkeypatch.setattr("sal_height.graph.picture.FigureCanvasAgg", Canvas)
+    judgements = read_accuracy(recorded / "bag", flight_of(two_dwells, SEED), ["ml_height"]).heights
+    draw_heights(judgements, read_images(recorded / "bag")["ml"], two_dwells, tmp_path / "height.png")
+    assert any("of lit ground" in title for title in shown)
+    assert cut == []
+
+
 def errors_with(position_m: float, name: str, seed: int) -> PublishedErrors:
     """Of an image of the street whose odometry errs by a constant of this size in each coordinate, and says so."""
     preset = load_preset(name)
@@ -99,9 +121,9 @@ def errors_with(position_m: float, name: str, seed: int) -> PublishedErrors:
     assert slc
     looks = estimator.settings(range_looks=preset.looks[0], azimuth_looks=preset.looks[1])
     field = heights(slc, flight.sensor, estimator, looks)
-    beams = image_beams(flight.sensor, settings.azimuth_window)
+    processing = Processing(settings.range_window, settings.azimuth_window)
     seen, aperture = as_flown(field, slc.aperture, flight, 2)
-    truth = true_surfaces(seen, aperture, beams, flight, flight.surface(2))
+    truth = true_surfaces(seen, aperture, processing, preset.looks, flight, flight.surface(2))
     return compare(field, truth, flight.sensor.beamwidth).errors
 
 
@@ -111,11 +133,12 @@ def test_odometry_that_errs_moves_heights_up_and_changes_nothing_else(name: str,
     """By 0.1 m: the heights' errors are those with exact odometry and one that all share, to 1 mm, at steps as well.
 
     That is less than half a kerb, so that the nearest surface remains the nearest, but for 2 % of a strip's pixels at
-    most. Seen from where the odometry says, a third of them has other errors.
+    most. Seen from where the odometry says, a third of them has other errors. Heights between foot and top of a wall
+    have none.
     """
     exact, off = errors_with(0.0, name, seed), errors_with(0.1, name, seed)
     assert len(off.nearest) == len(exact.nearest)
-    common = off.nearest - exact.nearest
+    common = np.where(off.within_extent & exact.within_extent, np.nan, off.nearest - exact.nearest)
     assert np.nanmean(np.abs(common - np.nanmedian(common)) > 1e-3) <= (0.02 if name == "sal_stripmap" else 0.0)
     assert np.nanmin(off.sigma) > 0.1
 
@@ -181,10 +204,10 @@ def test_the_bound_of_a_strip_knows_that_every_column_is_seen_from_abeam(flight:
     image, surface = exact_image(flight, 4, 0.0), flight.surface(4)
     sliding = messages.aperture_from_message(image.aperture)
     field, beams = messages.field_from_message(image), image_beams(flight.sensor, "taylor")
-    truth = true_surfaces(field, sliding, beams, flight, surface)
-    looks = image.range_looks * image.azimuth_looks
+    looks = image.range_looks, image.azimuth_looks
+    truth = true_surfaces(field, sliding, Processing("taylor", "taylor"), looks, flight, surface)
     abeam, from_the_middle = (
-        height_bound(truth, field, aperture, beams, flight, looks)
+        height_bound(truth, field, aperture, beams, flight, looks[0] * looks[1])
         for aperture in (sliding, replace(sliding, sliding=False))
     )
     ratio = from_the_middle / abeam
@@ -201,6 +224,26 @@ def test_the_error_that_pixels_share_is_stated_beside_their_bias(flight: Simulat
     common[:, 5] = np.where(np.isnan(first.height), np.nan, 0.03**2)
     first.common_covariance = to_floats(common)
     assert statistics_of([image], flight)["common_sigma_m"] == pytest.approx(0.03, rel=1e-3)
+
+
+def test_heights_without_one_true_height_are_right_and_have_no_scatter(
+    flight: SimulatedFlight, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """All surfaces extend from 1 m below to 1 m above the ground; every other height is 0.25 m above their top."""
+    lit = surface_report.lit_surfaces
+
+    def tall(*args: Any) -> LitSurfaces:
+        found = lit(*args)
+        return replace(found, spread=found.spread + 1.0, lowest=found.lowest - 1.0, highest=found.highest + 1.0)
+
+    monkeypatch.setattr(surface_report, "lit_surfaces", tall)
+    within, above = exact_image(flight, 4, 0.0), exact_image(flight, 4, 1.25)
+    number = statistics_of([within, above], flight)
+    assert number["within_extent"] == number["surfaces"] / 2 > 100
+    assert number["within_1_sigma"] == 0.5
+    assert number["bias_m"] == pytest.approx(0.25, abs=0.02)
+    alone = statistics_of([within], flight)
+    assert (alone["within_1_sigma"], alone["bias_m"], alone["s68_m"]) == (1.0, None, None)
 
 
 def test_a_flight_beside_the_scene_is_refused_at_its_first_dwell(flight: SimulatedFlight) -> None:

@@ -40,7 +40,7 @@ from sal_height.engine.mountings import (
     NO_MOUNTING,
     TRANSFORM_PORT,
     Mountings,
-    MountingSettings,
+    MountingSourceSettings,
     mounted,
     stated_mounting,
 )
@@ -75,7 +75,7 @@ ODOMETRY_GAP, NO_AIR = "odometry gap", "no air"
 NOT_TRUSTED = "autofocus found no phase error that it can trust; the image is focused with the odometry alone."
 
 
-class CompressionSettings(MountingSettings, AirSettings, OdometrySettings, ImageSettings, ChannelSettings):
+class CompressionSettings(MountingSourceSettings, AirSettings, OdometrySettings, ImageSettings, ChannelSettings):
     """Settings of the images, and the others that the stage needs."""
 
     calibration: str = setting(

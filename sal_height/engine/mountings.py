@@ -32,7 +32,7 @@ TRANSFORM_PORT = Port(
 )
 
 
-class MountingSettings(FrameSettings):
+class MountingSourceSettings(FrameSettings):
     """Source of the mounting."""
 
     mounting_from_tf: bool = setting(
@@ -62,7 +62,7 @@ class Mountings:
         """Use a mounting for a sensor (config_hash), as a flight did, before any other."""
         self._of_flight[sensor] = mounting
 
-    def of(self, sensor: Sensor, settings: MountingSettings) -> Mounting:
+    def of(self, sensor: Sensor, settings: MountingSourceSettings) -> Mounting:
         """Mounting of a sensor: the one that a flight used, or else that of the static transforms or its description.
 
         Raises:

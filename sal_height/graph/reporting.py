@@ -151,9 +151,10 @@ def achieved(accuracy: Mapping[str, Mapping[str, Any]]) -> str:
     if errors["valid"] < MOSTLY_KNOWN or not errors["crb_m"] or not alone:
         return text
     bound = _length(errors["crb_m"])
-    return (
-        f"{text}\nPixels with one surface scatter by {_length(alone)}; the Cramér-Rao bound of their looks is {bound}."
-    )
+    # Each dwell has a shared error of its own, which is part of the scatter of all dwells.
+    shared = ", with shared errors that differ from dwell to dwell" if common else ""
+    one = f"Pixels with one surface scatter by {_length(alone)}{shared}"
+    return f"{text}\n{one}; the Cramér-Rao bound of their looks is {bound}."
 
 
 def _length(metres: float, sign: str = "") -> str:

@@ -17,7 +17,8 @@ def errors(s68_m: float | None, **others: Any) -> dict[str, Any]:
 
 WITH_BOUND = (
     "Heights of ml: mean error +138 mm (stated common sigma 165 mm), scatter 9.6 mm, 0.20 % beyond 5 sigma, in 96.0 % "
-    "of the lit pixels.\nPixels with one surface scatter by 9.6 mm; the Cramér-Rao bound of their looks is 8.7 mm."
+    "of the lit pixels.\nPixels with one surface scatter by 9.6 mm, with shared errors that differ from dwell to dwell; "
+    "the Cramér-Rao bound of their looks is 8.7 mm."
 )
 
 
@@ -44,3 +45,8 @@ def test_the_best_estimator_is_named_with_bias_scatter_tails_and_bound(accuracy:
 def test_what_is_left_of_many_refused_heights_is_not_compared_with_the_bound(valid: float, compared: bool) -> None:
     """The few that pass are chosen by their errors, and may be below the bound of all."""
     assert ("Cramér-Rao" in achieved({"ml": errors(0.005, valid=valid)})) is compared
+
+
+def test_scatter_contains_shared_errors_only_if_there_are_any() -> None:
+    assert "from dwell to dwell" in achieved({"ml": errors(0.0096)})
+    assert "from dwell to dwell" not in achieved({"ml": errors(0.0096, common_sigma_m=None)})

@@ -17,8 +17,8 @@ def errors(s68_m: float | None, **others: Any) -> dict[str, Any]:
 
 WITH_BOUND = (
     "Heights of ml: mean error +138 mm (stated common sigma 165 mm), scatter 9.6 mm, 0.20 % beyond 5 sigma, in 96.0 % "
-    "of the lit pixels.\nPixels with one surface scatter by 9.6 mm, with shared errors that differ from dwell to dwell; "
-    "the Cramér-Rao bound of their looks is 8.7 mm."
+    "of the lit pixels.\nPixels with one surface scatter by 9.6 mm, with shared errors that differ from dwell to dwell;"
+    " the Cramér-Rao bound of their looks is 8.7 mm."
 )
 
 

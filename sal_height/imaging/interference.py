@@ -48,7 +48,7 @@ LEAST_RATIO = 4.0
 
 EVERY, MOST_PULSES = 2, 8
 """Channels from one that is read to the next, as the beams of neighbours overlap; and pulses that are read: all would
-take 4 % of the time of the image, these 1 to 2 %. Pulses of an emitter that none of them has are in another dwell."""
+take 4 % of the time of the image, these 1 %. Pulses of an emitter that none of them has are in another dwell."""
 
 
 def narrow_band_doubts(samples: C64, sensor: Sensor) -> tuple[Doubt, ...]:
@@ -63,10 +63,11 @@ def narrow_band_doubts(samples: C64, sensor: Sensor) -> tuple[Doubt, ...]:
         return ()
     read = samples[::EVERY, :: -(-pulses // MOST_PULSES)]
     spectrum = power_spectrum(read)
-    if not np.isfinite(spectrum).all():
+    beside = greater_beside(spectrum)
+    if not (np.isfinite(spectrum).all() and np.any(spectrum > LEAST_RATIO * beside)):
         return ()
     smooth = median_filter(spectrum, AROUND, mode="mirror")
-    around = np.maximum(smooth, greater_beside(spectrum))
+    around = np.maximum(smooth, beside)
     beyond = spectrum - LEAST_RATIO * around
     strongest = int(beyond.argmax())
     power = float(spectrum[strongest] - smooth[strongest]) / (frequencies * noise)

@@ -83,6 +83,17 @@ def test_the_noise_of_one_channel_is_found(scene: str, cnr_db: float, size_db: f
         assert f"channel {channel} is" in doubt.sentence
 
 
+@pytest.mark.parametrize("cnr_db", [5, 20])
+@pytest.mark.parametrize("noisy", [(5, 6), (2, 3, 9, 10)])
+def test_the_noise_of_several_channels_is_found(noisy: tuple[int, ...], cnr_db: float) -> None:
+    """And leaves no doubt where it is measured."""
+    fault = Fault(channel_noise_db=tuple(6.0 if m in noisy else 0.0 for m in range(16)))
+    for field in dwells_of("street", fault, cnr_db, dwells=2):
+        assert [(doubt.name, doubt.channel) for doubt in field.doubts] == [("noise of channel", m) for m in noisy]
+    for field in dwells_of("street", fault, cnr_db, settings=MEASURED, dwells=2):
+        assert not field.doubts
+
+
 def test_wrong_gains_are_one_doubt_about_the_worst_channel() -> None:
     gains = FAULTS["gains 2 dB rms"].gain_db
     for field in dwells_of("level", FAULTS["gains 2 dB rms"], 20, dwells=DWELLS):

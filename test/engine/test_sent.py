@@ -49,7 +49,7 @@ def heights() -> Heights:
         ("aperture", 14),
         ("surface", 40),
         ("provenance", 8),
-        ("heights", 300),
+        ("heights", 400),  # 150 of them are tests of eight channels
     ],
 )
 def test_items_arrive_equal_and_are_few_objects(name: str, most: int, heights: Heights) -> None:

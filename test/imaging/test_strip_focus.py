@@ -228,7 +228,7 @@ def test_always_is_refused_where_the_noise_is_not_known() -> None:
 
 
 def test_strips_tell_how_well_they_know_the_middle_of_their_beams() -> None:
-    """Uneven ground leaves some .08 mm/s, and noise a little, placed either way; none if left alone."""
+    """Uneven ground leaves some .11 mm/s, and noise a little, placed either way; none if left alone."""
     placed = [
         images(impairments, UNSURE, SETTINGS.changed(autofocus=autofocus))[0][-1].placement
         for impairments, autofocus in (
@@ -237,7 +237,7 @@ def test_strips_tell_how_well_they_know_the_middle_of_their_beams() -> None:
             (Impairments(), "never"),
         )
     ]
-    assert all(0.7e-4 < one.beams_error < 1e-4 for one in placed[:2])
+    assert all(1e-4 < one.beams_error < 1.4e-4 for one in placed[:2])
     assert placed[2].beams_error == 0.0
 
 

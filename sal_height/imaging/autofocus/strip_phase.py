@@ -6,9 +6,6 @@ linked as a dwell is (`phase_linking`), from the responses abeam. A window conta
 phase of the new ones continues that of the last of those. Its trend is determined by the middle of the beam. So the
 phase of a strip is known but for a constant; uneven ground moves the trend of each window a little, and blurs images
 along the flight, by centimetres in lidar.
-
-A bright point moves it much more while the beam lights it from one side. So points are removed first: they are peaks
-where the window is focused (`_without_points`).
 """
 
 from __future__ import annotations
@@ -16,8 +13,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.fft
-from scipy.ndimage import maximum_filter1d
 
 from sal_height.imaging.autofocus.coherence import Coherence, beam_coherence
 from sal_height.imaging.autofocus.gradient import AutofocusSettings, Focus, cell_responses
@@ -73,14 +68,12 @@ def link_block(
         kept = slice(-max(OVERLAP, WINDOW - new_ones), None)
         earlier = line.responses(before[0].pulses(kept), before[1][kept], sensor)
         responses, antenna = np.concatenate([earlier, responses], axis=-1), np.concatenate([before[1][kept], antenna])
-    reach = round(aperture_length(sensor, line.slant_range) / line.step(antenna))
     phase, errors = np.zeros(len(antenna)), []
     for new in np.array_split(np.arange(len(antenna) - new_ones, len(antenna)), -(-new_ones // WINDOW)):
         first, end = int(new[0]), int(new[-1]) + 1
         start = max(0, min(first - OVERLAP, end - WINDOW))
         seen = responses[..., start:end] * np.exp(-1j * phase[start:end]).astype(responses.dtype)
         modes, snr = signal_modes(seen, sensor.sample_count * sensor.noise_covariance)
-        modes, snr = _without_points(modes, snr, line.chirp_rate(antenna[start:end], sensor), reach)
         if not len(modes):
             return Focus(np.zeros(new_ones), np.inf)
         coherence = beam_coherence(sensor, antenna[start:end])
@@ -110,19 +103,6 @@ class _Line:
     reach: F64
     along: F64
 
-    @property
-    def slant_range(self) -> float:
-        """Distance of the line, m."""
-        return float(np.linalg.norm(self.reach))
-
-    def step(self, antenna: F64) -> float:
-        """Distance that the antenna, shape (pulses, 3), moves from pulse to pulse, m."""
-        return float((antenna[-1] - antenna[0]) @ self.along) / (len(antenna) - 1)
-
-    def chirp_rate(self, antenna: F64, sensor: Sensor) -> float:
-        """Rate at which the phase step of the echo of a point changes from pulse to pulse, rad."""
-        return sensor.centre_wavenumber * self.step(antenna) ** 2 / self.slant_range
-
     def responses(self, history: PhaseHistory, antenna: F64, sensor: Sensor) -> C64:
         """Contribution of each pulse to the range cells of the line, in the middle of the beams.
 
@@ -131,45 +111,9 @@ class _Line:
         """
         way = (antenna - self.middle) @ self.along
         found = cell_responses(history, antenna, sensor, self.middle + self.reach + way[:, None] * self.along)
-        ahead = float(self.reach @ self.along) / self.slant_range
+        ahead = float(self.reach @ self.along) / float(np.linalg.norm(self.reach))
         found *= np.exp(-1j * sensor.centre_wavenumber * ahead * way).astype(found.dtype)
         return found
-
-
-def _without_points(modes: Complex, snr: F64, chirp_rate: float, reach: int) -> tuple[Complex, F64]:
-    """Modes (`signal_modes`) without points that outshine the ground, and their signal-to-noise ratios then.
-
-    The echo of a point is a chirp. An azimuth filter that changes phases only focuses it to a peak, wherever in the
-    beam it is, and leaves ground speckle; without the peak the inverse filter returns the echo of the ground. So the
-    point's sidelobes in range, too, are removed, each in its range cell. The phase gradient focuses well enough.
-
-    Args:
-        modes: responses, noise of power 1, shape (responses, pulses).
-        snr: signal-to-noise ratio of each response, shape (responses,).
-        chirp_rate: rate of the chirp, rad per pulse and pulse.
-        reach: distance along the flight from which pulses light a point, in pulses.
-    """
-    if not len(modes):
-        return modes, snr
-    pulses = modes.shape[-1]
-    alike = modes[snr <= 8.0 * np.median(snr)]
-    turn = np.exp(1j * phase_gradient(alike / np.linalg.norm(alike, axis=-1, keepdims=True))).astype(modes.dtype)
-    stretch = 64  # pixels of which the median is that of the ground
-    size = stretch * scipy.fft.next_fast_len(-(-(pulses + 2 * reach) // stretch))
-    turn_a_pulse = 2 * np.pi * scipy.fft.fftfreq(size)
-    chirp = np.exp(0.5j * turn_a_pulse**2 / chirp_rate).astype(modes.dtype)
-    image = scipy.fft.ifft(scipy.fft.fft(modes * turn.conj(), size) * chirp.conj())
-    power = (image.real**2 + image.imag**2).reshape(len(image), -1, stretch)
-    # Next to an edge of the ground's brightness the brighter side counts.
-    ground_power = maximum_filter1d(np.median(power[..., ::2], axis=-1), 3, mode="wrap")
-    brightest = 16.0  # power of speckle over its median, which one of 65 000 pixels exceeds
-    peaks = (power > brightest * ground_power[..., None]).reshape(image.shape)
-    around = 32  # pixels on either side of a peak that are removed with its sidelobes
-    image[maximum_filter1d(peaks, 2 * around + 1, mode="wrap")] = 0.0
-    ground = turn * np.asarray(scipy.fft.ifft(scipy.fft.fft(image) * chirp))[:, :pulses]
-    left = np.mean(np.abs(ground) ** 2, axis=-1).astype(np.float64) - 1
-    lit = left >= 0.1 * np.median(left)  # others show noise, the edge of a shadow, or had a point only
-    return ground[lit], left[lit]
 
 
 def _link(modes: Complex, snr: F64, coherence: Coherence) -> tuple[F64, float]:

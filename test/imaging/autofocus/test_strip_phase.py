@@ -17,22 +17,18 @@ from sal_height.imaging.autofocus.strip_phase import WINDOW, link_block, stays_i
 from sal_height.imaging.pixels import line_of_sight
 from sal_height.sensor import PhaseHistory
 from sal_height.simulation import SimulatedFlight, flight_of, load_preset
-from sal_height.simulation.scene import PointScatterer
 
 SETTINGS = AutofocusSettings()
 BLOCKS, PULSES = 4, 256
 
 
 @cache
-def flown(
-    gust: float = 0.0, cnr_db: float = 20.0, points: tuple[PointScatterer, ...] = ()
-) -> tuple[SimulatedFlight, PhaseHistory, Trajectory]:
-    """Pulses of some blocks one after the other, without errors, and their track; over points in place of posts."""
+def flown(gust: float = 0.0, cnr_db: float = 20.0) -> tuple[SimulatedFlight, PhaseHistory, Trajectory]:
+    """Pulses of some blocks one after the other, without errors, and their track."""
     preset = load_preset("sal_stripmap")
     flight = flight_of(
         replace(preset, dwells=BLOCKS, cnr_db=cnr_db, flight=replace(preset.flight, gust_mps=gust)), seed=5
     )
-    flight = replace(flight, scene=replace(flight.scene, points=points)) if points else flight
     blocks = [flight.phase_history(dwell) for dwell in range(BLOCKS)]
     whole = replace(
         blocks[0],
@@ -51,11 +47,9 @@ def turned(history: PhaseHistory, phase: Array) -> PhaseHistory:
     return replace(history, samples=history.samples * np.exp(1j * phase).astype(np.complex64)[:, None])
 
 
-def linked(
-    error: Array, block: int, points: tuple[PointScatterer, ...] = (), **flight: float
-) -> tuple[Array, list[Focus]]:
+def linked(error: Array, block: int, **flight: float) -> tuple[Array, list[Focus]]:
     """What is left of a phase error that is put in, block by block, and what was said of each."""
-    simulated, history, track = flown(points=points, **flight)
+    simulated, history, track = flown(**flight)
     antenna, said = track.positions(history.stamp_ns, history.pulse_times), []
     corrected, found = turned(history, error), np.zeros(len(error))
     for first in range(0, len(error) // block * block, block):
@@ -90,14 +84,14 @@ ERRORS = {
 def test_what_is_left_of_a_phase_error_is_small_whatever_it_was(name: str, gust: float) -> None:
     """Steps from pulse to pulse are left to what is stated, or up to a third of it; and no trend beyond its error.
 
-    What is stated is the error of the worst 32 pulses of a block, .14 rad.
+    What is stated is the error of the worst 32 pulses of a block, .1 rad.
     Gusts turn the antenna's way by up to .06 rad, and a trend of .03 of a beam is .1 rad.
     """
     left, said = linked(ERRORS[name](), PULSES, gust=gust)
     assert all(focus.trusted for focus in said)
     steps = np.angle(np.exp(1j * np.diff(left)))
     stated = float(np.sqrt(np.mean([focus.standard_error**2 for focus in said])))
-    assert stated == pytest.approx(0.1425, rel=0.05)
+    assert stated == pytest.approx(0.117, rel=0.05)
     assert 1 / 3 < np.std(steps) / stated < 1.0
     error = float(np.sqrt(np.mean([focus.trend_error**2 for focus in said])))
     assert error < 0.08
@@ -105,9 +99,9 @@ def test_what_is_left_of_a_phase_error_is_small_whatever_it_was(name: str, gust:
     assert np.sqrt(np.mean(of_blocks**2)) < 2 * error
 
 
-@pytest.mark.parametrize(("cnr_db", "least_m", "most_m"), [(20.0, 0.002, 0.005), (0.0, 0.004, 0.012)])
+@pytest.mark.parametrize(("cnr_db", "least_m", "most_m"), [(20.0, 0.003, 0.007), (0.0, 0.005, 0.015)])
 def test_images_are_blurred_by_a_little(cnr_db: float, least_m: float, most_m: float) -> None:
-    """By a third of a centimetre, and in weak echoes by up to one: trends of the error over an aperture's pulses.
+    """By half a centimetre, and in weak echoes by up to one and a half: trends of the error over an aperture's pulses.
 
     They are those of 12 apertures that overlap, in 1024 pulses, so that they are known to 40 %.
     """
@@ -119,25 +113,6 @@ def test_images_are_blurred_by_a_little(cnr_db: float, least_m: float, most_m: f
     sensor = flown(cnr_db=cnr_db)[0].sensor
     speed = trends * sensor.wavelength * sensor.pulse_repetition_frequency / (4 * np.pi)
     assert least_m < np.std(speed) * 5000.0 / 50.0 < most_m
-
-
-def loss_db(left: Array) -> float:
-    """Mean loss of the peak of a point in an image whose pulses have this phase left."""
-    course, aperture = np.exp(1j * left), 310
-    starts = range(0, len(course) - aperture, 64)
-    images = np.array([np.fft.fft(course[first : first + aperture], 8 * aperture) for first in starts])
-    return float(-10 * np.log10(np.mean(np.abs(images).max(axis=-1) ** 2) / aperture**2))
-
-
-@pytest.mark.parametrize(("east", "most_db"), [(0.1, 1.0), (-0.3, 2.0)])
-def test_a_bright_point_hardly_blurs_images(east: float, most_db: float) -> None:
-    """By .7 and 1.6 dB, with 32 dB over a cell; 4.3 and 4.6 dB if its echo counts. Without a point by .4 dB.
-
-    The last pulses, which light a car, are left out.
-    """
-    left, said = linked(ERRORS["none"](), PULSES, (PointScatterer(east, 0.0, 0.8, 10**3.2),))
-    assert all(focus.trusted for focus in said)
-    assert loss_db(left[:820]) < most_db
 
 
 @pytest.mark.parametrize("block", [40, 100, 341, 1024])
@@ -170,7 +145,7 @@ def test_a_block_says_nothing_of_the_trend_that_the_beams_are_known_to_have() ->
 
 @pytest.mark.parametrize(("cnr_db", "trusted"), [(0.0, True), (-6.0, False)])
 def test_phases_of_weak_echoes_are_not_trusted(cnr_db: float, trusted: bool) -> None:
-    """At 0 dB a step is known to .38 rad, at -6 dB to .7 rad."""
+    """At 0 dB a step is known to .35 rad, at -6 dB to more than 1 rad."""
     _, said = linked(ERRORS["none"](), PULSES, cnr_db=cnr_db)
     assert all(focus.trusted == trusted for focus in said)
 

@@ -330,7 +330,7 @@ def test_a_played_sensor_begins_anew_after_its_node_was_killed(recorded: Path, t
 @pytest.mark.thorough
 def test_a_node_that_is_killed_before_it_has_come_up_is_started_again(tmp_path: Path) -> None:
     file = tmp_path / "flight.yaml"
-    file.write_text("nodes: {ml_height: , monopulse: }")
+    file.write_text("{separate: true, nodes: {ml_height: , monopulse: }}")
     with free_domain() as domain, Graph(domain) as graph, live(domain, file) as process:
         node = graph.add(Node("watcher", context=graph.context))
         program = Program(process, graph, tmp_path, {})

@@ -38,6 +38,9 @@ FEWEST_PIXELS = 27
 OF_SCENE = 0.03
 """Standard deviation of a gain between scenes, where pixels have several scatterers."""
 
+NOT_TESTED = (math.nan, math.nan)
+"""Size and standard deviation of what was not tested."""
+
 STRETCH_OF_SCENE = 0.002
 """Standard deviation of the stretch between scenes."""
 
@@ -57,14 +60,16 @@ def gain_tests(found: FitStatistics, channels: Index) -> list[FitTest]:
     common = ranked[len(ranked) // 2] if ranked else 0.0
     # Where a channel counts it has a half of its full response on average.
     beyond_noise, times = math.hypot(OF_SCENE, 2 * found.beams.uncertainty), math.sqrt(found.repeated)
-    tests = []
-    for channel, (gain, sigma, number) in zip(channels.tolist(), measured, strict=True):
-        if not common > 0 or number < FEWEST_PIXELS:
-            tests.append(FitTest(CHANNEL_GAIN, channel, unit="1"))
-            continue
-        size, error = gain / common, math.hypot(times * sigma / common, beyond_noise)
-        tests.append(FitTest(CHANNEL_GAIN, channel, abs(size - 1) / error, size=size, sigma=error, unit="1"))
-    return with_tails(tests, [number for *_, number in measured])
+    sizes = []
+    for gain, sigma, number in measured:
+        known = common > 0 and number >= FEWEST_PIXELS
+        sizes.append((gain / common, math.hypot(times * sigma / common, beyond_noise)) if known else NOT_TESTED)
+    statistics = [abs(size - 1) / error for size, error in sizes]
+    tails = two_tails(statistics, [number for *_, number in measured])
+    return [
+        FitTest(CHANNEL_GAIN, channel, statistic, tail, *size, "1")
+        for channel, statistic, tail, size in zip(channels.tolist(), statistics, tails, sizes, strict=True)
+    ]
 
 
 def common_gain_test(tests: Sequence[FitTest]) -> FitTest:
@@ -96,15 +101,15 @@ def stretch_test(found: FitStatistics) -> FitTest:
         return FitTest(BEAM_STRETCH, unit="1")
     size, of_noise = (ratio - 1) / MAGNIFIED, math.sqrt(found.repeated) * sigma / MAGNIFIED
     error = math.hypot(of_noise, STRETCH_OF_SCENE, beams.pitch_uncertainty, 2 * beams.uncertainty)
-    test = FitTest(BEAM_STRETCH, ALL_CHANNELS, abs(size) / error, size=size, sigma=error, unit="1")
-    return with_tails([test], [number])[0]
+    statistic = abs(size) / error
+    (tail,) = two_tails([statistic], [number])
+    return FitTest(BEAM_STRETCH, ALL_CHANNELS, statistic, tail, size, error, "1")
 
 
-def with_tails(tests: Sequence[FitTest], pixels: Sequence[float]) -> list[FitTest]:
-    """Tests of medians over numbers of pixels, with the probability of a statistic as large or larger on either side.
+def two_tails(statistics: Sequence[float], pixels: Sequence[float]) -> list[float]:
+    """Probabilities of these statistics, or of larger ones, on either side, of medians over numbers of pixels.
 
     A variance by the quartiles of N normal deviates is as uncertain as that of .37 N of them: Student's distribution.
     """
-    statistics = np.array([test.statistic for test in tests])
-    tails = 2 * stdtr(0.37 * np.array(pixels), -statistics)
-    return [test._replace(p_value=tail) for test, tail in zip(tests, tails.tolist(), strict=True)]
+    tails: list[float] = (2 * stdtr(0.37 * np.array(pixels), -np.array(statistics))).tolist()
+    return tails

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 
 from sal_height.doubts import FitTest
-from sal_height.elevation.fit.channel_gains import with_tails
+from sal_height.elevation.fit.channel_gains import NOT_TESTED, two_tails
 from sal_height.elevation.fit.statistics import FitStatistics
 from sal_height.numeric import Index
 
@@ -53,15 +53,19 @@ def channel_noise_tests(found: FitStatistics, channels: Index) -> list[FitTest]:
     usable = [_is_like_noise(found, *measured) for measured in found.noises]
     ranked = sorted(amplitude for (amplitude, *_), one in zip(found.noises, usable, strict=True) if one)
     common = ranked[len(ranked) // 2] if len(ranked) >= LEAST_FRACTION * len(usable) else 0.0
-    times, tests = math.sqrt(found.repeated), []
-    for channel, (amplitude, sigma, _), one in zip(channels.tolist(), found.noises, usable, strict=True):
-        if common < LEAST_AMPLITUDE or not one:
-            tests.append(FitTest(CHANNEL_NOISE, channel, unit="dB"))
+    times, sizes = math.sqrt(found.repeated), []
+    for (amplitude, sigma, _), one in zip(found.noises, usable, strict=True):
+        if not one or common < LEAST_AMPLITUDE:
+            sizes.append(NOT_TESTED)
             continue
-        size = 20 * math.log10(amplitude / common)
         error = DB_OF_AMPLITUDE * math.hypot(times * sigma / amplitude, OF_SCENE)
-        tests.append(FitTest(CHANNEL_NOISE, channel, abs(size) / error, size=size, sigma=error, unit="dB"))
-    return with_tails(tests, [number for *_, number in found.noises])
+        sizes.append((20 * math.log10(amplitude / common), error))
+    statistics = [abs(size) / error for size, error in sizes]
+    tails = two_tails(statistics, [number for *_, number in found.noises])
+    return [
+        FitTest(CHANNEL_NOISE, channel, statistic, tail, *size, "dB")
+        for channel, statistic, tail, size in zip(channels.tolist(), statistics, tails, sizes, strict=True)
+    ]
 
 
 def _is_like_noise(found: FitStatistics, amplitude: float, sigma: float, number: float) -> bool:

@@ -78,18 +78,18 @@ class JobQueue:
             return self._take() if self._waiting else None
 
     def take(self, most: int, most_bytes: int, suits: Callable[[Any], bool]) -> list[QueuedJob]:
-        """The next jobs whose items suit, up to so many and so many bytes, or one; each runs until `note_done`."""
+        """The next jobs, as long as their items suit, up to so many and so many bytes, or one.
+
+        None overtakes another one that does not suit: jobs are finished in the order in which they are taken. Each runs
+        until `note_done`.
+        """
         with self._changed:
-            taken, size, place = list[QueuedJob](), 0, 0
-            while place < len(self._waiting) and len(taken) < most:
-                job = self._waiting[place]
-                if not suits(job.item):
-                    place += 1
-                    continue
-                size += job.size
+            taken, size = list[QueuedJob](), 0
+            while self._waiting and len(taken) < most and suits(self._waiting[0].item):
+                size += self._waiting[0].size
                 if taken and size > most_bytes:
                     break
-                taken.append(self._take(place))
+                taken.append(self._take())
             self._running += len(taken)
             return taken
 

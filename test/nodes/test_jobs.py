@@ -89,10 +89,12 @@ def test_jobs_are_taken_that_suit_a_worker_up_to_so_many_and_so_many_bytes() -> 
     queue = JobQueue()
     for number in range(1, 7):
         queue.put(QueuedJob(lambda: 0, number, 10, number), 100, math.inf, "oldest")
-    assert numbers(queue.take(2, math.inf, lambda item: item % 2 == 0)) == [2, 4]
-    assert numbers(queue.take(5, 25, lambda _: True)) == [1, 3]
-    assert numbers(queue.take(5, 1, lambda _: True)) == [5]  # one in any case
-    assert (queue.waiting, queue.unfinished) == (1, 6)
+    assert numbers(queue.take(5, math.inf, lambda item: item < 3)) == [1, 2]
+    assert numbers(queue.take(5, math.inf, lambda item: item > 3)) == []  # none overtakes the third
+    assert numbers(queue.take(1, math.inf, lambda _: True)) == [3]
+    assert numbers(queue.take(5, 25, lambda _: True)) == [4, 5]
+    assert numbers(queue.take(5, 1, lambda _: True)) == [6]  # one in any case
+    assert (queue.waiting, queue.unfinished) == (0, 6)
 
 
 def test_a_queue_is_done_once_every_job_that_was_taken_is() -> None:

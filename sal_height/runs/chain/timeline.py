@@ -7,7 +7,7 @@ without them, the order of the bag decides: what was recorded before the last fr
 from __future__ import annotations
 
 import heapq
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -322,6 +322,11 @@ class _Parameters:
                 self._timeline.forgotten.setdefault(parameter, source)
 
 
+DWELLS_OF_TRIAL = 2
+"""Dwells of a sensor, after it received a calibration, of which one has images with it unless it was refused. The first may
+have been complete before the node received the calibration."""
+
+
 class _Calibrations:
     """Follows the calibrations that were applied, from dwell to dwell; every sensor has its own."""
 
@@ -329,11 +334,15 @@ class _Calibrations:
         self._timeline, self._sensors = timeline, sensors
         self._now: dict[str, str] = {}
         self._pending: dict[str, str] = {}
+        self._without: Counter[str] = Counter()
+        """Dwells of each sensor with products that do not name the calibration which it received last."""
         self._received: list[str] = []
 
     def receive(self, message: ReceivedCalibration) -> None:
         """Record a calibration that was received."""
-        self._pending[self._sensors[message.calibration]] = message.calibration
+        sensor = self._sensors[message.calibration]
+        self._pending[sensor] = message.calibration
+        self._without[sensor] = 0
         self._received.append(message.calibration)
 
     def enter(self, dwell: DwellKey, applied: str | None) -> None:
@@ -344,7 +353,11 @@ class _Calibrations:
             pending, self._pending = self._pending, {}
             for calibration in pending.values():
                 self._apply(Applied(dwell, calibration, MESSAGE))
-        elif applied in self._sensors:
+            return
+        self._without[dwell.sensor] += 1
+        if self._pending.get(dwell.sensor) != applied and self._without[dwell.sensor] == DWELLS_OF_TRIAL:
+            self._pending.pop(dwell.sensor, None)  # it was refused
+        if applied in self._sensors:
             if self._pending.get(self._sensors[applied]) == applied:
                 del self._pending[self._sensors[applied]]
             self._apply(Applied(dwell, applied, PROVENANCE))

@@ -139,6 +139,16 @@ def test_calibrations_that_nobody_applied_are_left_out(tmp_path: Path) -> None:
     assert (flight.calibrations, flight.missing) == ([], [])
 
 
+@pytest.mark.parametrize(("made", "wanted"), [(1, [(1, "of another day", "order of the bag")]), (2, [])])
+def test_a_calibration_that_was_refused_is_not_applied_to_a_dwell_without_heights(
+    tmp_path: Path, made: int, wanted: list[tuple[int, str, str]]
+) -> None:
+    """A dwell may have been complete before the calibration arrived; the second one that was made tested it."""
+    shown = [message for dwell in range(made) for message in (frame(dwell), looks(dwell, 1))]
+    flight = found(tmp_path, calibration("of another day", ""), *shown, *map(frame, range(made, 4)))
+    assert applied(flight) == wanted
+
+
 def test_a_calibration_that_the_bag_lacks_is_told_once(tmp_path: Path) -> None:
     info = SensorInfo(calibration_id="the sensor's own")
     flight = found(

@@ -323,8 +323,8 @@ class _Parameters:
 
 
 DWELLS_OF_TRIAL = 2
-"""Dwells of a sensor, after it received a calibration, of which one has images with it unless it was refused. The first may
-have been complete before the node received the calibration."""
+"""Dwells with products, after a calibration, of which one names it unless it was refused. The first one may
+have been complete before the node received it."""
 
 
 class _Calibrations:

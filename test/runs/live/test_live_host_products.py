@@ -33,16 +33,16 @@ CONFIGURATION = """
 namespace: lidar
 nodes:
   paced_player: {{parameters: {{bag: {folder}/sensor, rate: 0.03}}}}
-  sar_compression: {{parameters: {{rows: 46, cols: 48, calibration: topic, max_queued_dwells: 64}}}}
+  sar_compression: {{parameters: {{rows: 46, cols: 48, calibration: topic, max_queued_dwells: 1024}}}}
   plain:
     node: sar_compression
-    parameters: {{rows: 46, cols: 12, range_window: rectangular, max_queued_dwells: 64}}
+    parameters: {{rows: 46, cols: 12, range_window: rectangular, max_queued_dwells: 1024}}
     remap: {{slc: plain/slc}}
-  psf_calibration: {{parameters: {{dwells: 4, dwell_step: 1, max_queued_dwells: 64}}, remap: {{slc: plain/slc}}}}
-  ml_height: {{parameters: {{range_looks: 2, azimuth_looks: 2, max_queued_dwells: 64}}}}
-  mover_detection: {{parameters: {{max_queued_dwells: 64}}}}
-  height_adjuster: {{parameters: {{max_queued_dwells: 64}}}}
-  relief_tracker: {{parameters: {{max_queued_dwells: 64}}}}
+  psf_calibration: {{parameters: {{dwells: 4, dwell_step: 1, max_queued_dwells: 1024}}, remap: {{slc: plain/slc}}}}
+  ml_height: {{parameters: {{range_looks: 2, azimuth_looks: 2, max_queued_dwells: 1024}}}}
+  mover_detection: {{parameters: {{max_queued_dwells: 1024}}}}
+  height_adjuster: {{parameters: {{max_queued_dwells: 1024}}}}
+  relief_tracker: {{parameters: {{max_queued_dwells: 1024}}}}
   recorder:
     parameters:
       directory: {folder}/bag

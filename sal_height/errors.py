@@ -1,5 +1,7 @@
 """The one exception whose text is written for the user."""
 
+from collections.abc import Iterable
+from difflib import get_close_matches
 from typing import Self
 
 LONGEST, LONGEST_END = 1000, 300
@@ -41,3 +43,9 @@ class NotDetermined(UserError):  # noqa: N818 (not an error of the program)
 
     The message states what is missing, and what would be needed.
     """
+
+
+def did_you_mean(name: str, known: Iterable[str]) -> str:
+    """A hint at the closest of the known names, to stand behind a wrong one; empty: none is close."""
+    closest = get_close_matches(name, list(known), n=1)
+    return f" (did you mean {closest[0]!r}?)" if closest else ""

@@ -13,7 +13,6 @@ by inheritance: ``class Parameters(HeightParameters, LookSettings)``.
 
 from __future__ import annotations
 
-import difflib
 import functools
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -24,7 +23,7 @@ from annotated_types import Ge, Le
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 from pydantic.fields import FieldInfo
 
-from sal_height.errors import UserError
+from sal_height.errors import UserError, did_you_mean
 from sal_height.renamed import PARAMETERS, VALUES
 
 KINDS = {bool: "true or false", int: "a whole number", float: "a number", str: "a text"}  # as messages call types
@@ -148,10 +147,8 @@ def unknown_name(name: str, known: Iterable[str], owner: str = "") -> str:
     names = list(known)
     if (new := PARAMETERS.get(name)) in names:
         return f"Parameter {name!r} {f'of {owner[0].lower()}{owner[1:]} ' if owner else ''}is named {new!r} now."
-    closest = difflib.get_close_matches(name, names, n=1)
     beginning = f"{owner} has" if owner else "There is"
-    hint = f" (did you mean {closest[0]!r}?)" if closest else ""
-    return f"{beginning} no parameter {name!r}{hint}; allowed are {', '.join(names) or 'none'}."
+    return f"{beginning} no parameter {name!r}{did_you_mean(name, names)}; allowed are {', '.join(names) or 'none'}."
 
 
 def _entry(name: str, field: FieldInfo) -> Setting:

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 from cyclopts import App, Group, Parameter, Token
 from cyclopts.validators import Number
 
+import sal_height
 from sal_height.errors import UserError
 from sal_height.renamed import with_new_names
 
@@ -24,6 +25,9 @@ if TYPE_CHECKING:
 
 DONE, FAILED, BAD_USE, INTERRUPTED, CUT_OFF = 0, 1, 2, 130, 141
 """Exit statuses. The meaning of FAILED is stated in the help of each command."""
+
+SHIPPED_PRESETS = sorted(path.stem for path in Path(sal_height.__path__[0], "presets").glob("*.yaml"))
+"""Names of the presets of the package, found without importing what reads them."""
 
 PROCESSING = Group("Simulate and process", sort_key=1)
 MEASURING = Group("Measure images", sort_key=2)
@@ -92,14 +96,16 @@ def repeated(metavar: str, **more: Any) -> Parameter:
     return Parameter(metavar=metavar, consume_multiple=False, show_default=False, **more)
 
 
-def _pair_of(kind: type, separator: str, form: str) -> Callable[[Token], tuple[Any, Any]]:
-    """Converter of texts such as 2x2 to a pair of numbers."""
+def _pair_of(kind: type, separator: str, form: str, least: int = 0) -> Callable[[Token], tuple[Any, Any]]:
+    """Converter of texts such as 2x2 to a pair of numbers, each of `least` or more."""
 
     def convert(token: Token) -> tuple[Any, Any]:
         first, found, second = token.value.partition(separator)
         try:
             if found and re.fullmatch(r"[\d.]+", first) and re.fullmatch(r"[\d.]+", second):
-                return kind(first), kind(second)
+                pair = kind(first), kind(second)
+                if min(pair) >= least:
+                    return pair
         except ValueError:
             pass
         raise ValueError(f"{token.value!r} is not of the form {form}")
@@ -135,11 +141,6 @@ def _place(token: Token) -> dict[str, float]:
     return dict(zip(("latitude_deg", "longitude_deg", "height_m"), numbers, strict=False))
 
 
-def _positive(_type: type, pair: tuple[int, int] | None) -> None:
-    if pair is not None and min(pair) < 1:
-        raise ValueError("Both numbers must be 1 or more")
-
-
 Bag: TypeAlias = Annotated[Path, Parameter(name="BAG", help="Folder of the bag, or its .mcap file.")]
 
 Tolerance: TypeAlias = Annotated[
@@ -161,7 +162,7 @@ Trials: TypeAlias = Annotated[int, Parameter(metavar="N", help="Number of Monte 
 
 RangeByAzimuth: TypeAlias = Annotated[
     tuple[int, int] | None,
-    one_word("RxA", _pair_of(int, "x", "RxA with whole numbers, for example 2x2"), validator=_positive),
+    one_word("RxA", _pair_of(int, "x", "RxA with whole numbers of 1 or more, for example 2x2", least=1)),
 ]
 
 Place: TypeAlias = Annotated[

@@ -13,7 +13,7 @@ from pkgutil import iter_modules
 from cyclopts import App, CycloptsError, UnusedCliTokensError
 
 from sal_height import __version__
-from sal_height.commands._options import BAD_USE, CUT_OFF, DONE, INTERRUPTED, epilogue
+from sal_height.commands._options import BAD_USE, CUT_OFF, DONE, INTERRUPTED, SHIPPED_PRESETS, epilogue
 from sal_height.errors import UserError
 
 EXAMPLES = """
@@ -114,8 +114,15 @@ def _complain(sentence: str) -> int:
 
 def _sentence_of(error: CycloptsError) -> str:
     if isinstance(error, UnusedCliTokensError):
-        return f"There are more arguments than the command takes: {', '.join(map(repr, error.unused_tokens or ()))}."
-    return " ".join(str(error).split())
+        tokens = error.unused_tokens or ()
+        return f"There are more arguments than the command takes: {', '.join(map(repr, tokens))}{_preset_hint(error)}."
+    return " ".join(str(error).split()).removesuffix(".") + "."
+
+
+def _preset_hint(error: UnusedCliTokensError) -> str:
+    """A hint for those who name the preset of a run as budget takes it, without the option."""
+    (token, *_), (command, *_) = error.unused_tokens or ("",), error.command_chain or ("",)
+    return f" (did you mean --preset {token}?)" if command in {"run", "live"} and token in SHIPPED_PRESETS else ""
 
 
 def _help_command(error: CycloptsError) -> str:

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-import sal_height
 from sal_height.commands._options import (
     DONE,
     FAILED,
     GRAPH,
     INTERRUPTED,
     PROCESSING,
+    SHIPPED_PRESETS,
     Estimators,
     Flag,
     GraphOptions,
@@ -40,15 +39,15 @@ EXAMPLES = """
   sal-height run --preset small --estimators ml,capon,music
 """
 
-PRESETS = ", ".join(sorted(path.stem for path in Path(sal_height.__path__[0], "presets").glob("*.yaml")))
-
 app = command("run", PROCESSING, EXAMPLES, "no valid height was produced, or messages were dropped")
 
 
 @app.default
 def run(
     *,
-    preset: Annotated[str, Parameter(metavar="NAME|FILE", help=f"One of {PRESETS}, or a YAML file.")] = "sal_spotlight",
+    preset: Annotated[
+        str, Parameter(metavar="NAME|FILE", help=f"One of {', '.join(SHIPPED_PRESETS)}, or a YAML file.")
+    ] = "sal_spotlight",
     scene: Annotated[str | None, Parameter(metavar="NAME|PATH")] = None,
     dwells: Annotated[int | None, Parameter(metavar="N")] = None,
     cnr_db: Annotated[float | None, Parameter(metavar="X")] = None,

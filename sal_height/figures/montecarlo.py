@@ -28,7 +28,7 @@ from sal_height.elevation import (
     stochastic_crb,
     sum_and_difference,
 )
-from sal_height.errors import UserError
+from sal_height.errors import UserError, did_you_mean
 from sal_height.figures.sample_statistics import Measured, mean, median, s68, share, std
 from sal_height.figures.unit_arrays import array_of
 from sal_height.numeric import F64, Bool
@@ -159,7 +159,9 @@ def array_statistics(experiment: Experiment, estimator: str, objective: str, dom
         UserError: there is no such estimator, or the target is outside the search.
     """
     if estimator not in (names := (*ARRAY_ESTIMATORS, *DISCRIMINANTS)):
-        raise UserError(f"The estimator is {estimator!r}; allowed are {', '.join(names)}.")
+        raise UserError(
+            f"The estimator is {estimator!r}{did_you_mean(estimator, names)}; allowed are {', '.join(names)}."
+        )
     beams, guard = experiment.beams, search_guard(experiment.beams, domain)
     low, high = beams.domain(guard)
     if not low <= experiment.theta <= high:

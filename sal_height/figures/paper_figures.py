@@ -16,7 +16,7 @@ from matplotlib.figure import Figure as Picture
 from PIL import Image
 from tqdm import tqdm
 
-from sal_height.errors import UserError
+from sal_height.errors import UserError, did_you_mean
 from sal_height.figures.array_elevation import WEIGHTS, fig10, fig11
 from sal_height.figures.curve import Curve, Figure, check_of, holds, rows_of
 from sal_height.figures.noise import CNR_DB, fig5, fig6
@@ -169,7 +169,9 @@ def make_figures(names: Sequence[str], out: Path, trials: int, seed: int) -> lis
     """
     for name in names:
         if name not in FIGURES:
-            raise UserError(f"There is no figure {name!r}; allowed are {', '.join(FIGURES)} and all.")
+            raise UserError(
+                f"There is no figure {name!r}{did_you_mean(name, FIGURES)}; allowed are {', '.join(FIGURES)} and all."
+            )
     most = 1_000_000  # all estimates of a curve are kept in memory at a time
     if not LEAST_TRIALS <= trials <= most:
         raise UserError(f"Figures take {trials} trials; allowed are {LEAST_TRIALS} to {most}.")

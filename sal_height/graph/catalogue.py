@@ -11,7 +11,7 @@ from sal_height.engine.adjuster import ADJUSTED_ODOMETRY
 from sal_height.engine.compression import HEARD, SENSOR
 from sal_height.engine.movers import MOVERS
 from sal_height.engine.registry import STAGES, product_of, takes_heights, takes_images
-from sal_height.errors import UserError
+from sal_height.errors import UserError, did_you_mean
 from sal_height.geometry import Origin
 from sal_height.renamed import with_new_names
 from sal_height.sensor import Sensor
@@ -52,7 +52,10 @@ def check_parameters(parameters: NodeParameters, settable: Sequence[str] = SETTA
     checked: dict[str, dict[str, Any]] = {}
     for name, values in parameters.items():
         if name not in settable:
-            raise UserError(f"There is no node {name!r} with parameters to set; allowed are {', '.join(settable)}.")
+            raise UserError(
+                f"There is no node {name!r}{did_you_mean(name, settable)} with parameters to set; allowed are "
+                f"{', '.join(settable)}."
+            )
         checked[name] = check_values(name, STAGES[name].settings, values)
     return checked
 
@@ -129,7 +132,8 @@ def _suiting(sensor: Sensor) -> dict[str, ElevationEstimator]:
 def _refusal(name: str, allowed: Sequence[str]) -> UserError:
     """Message on an estimator that is not available."""
     reason = "does not suit the sensor's channels" if name in ESTIMATORS else "does not exist"
-    return UserError(f"Estimator {name!r} {reason}; allowed are {', '.join(allowed) or 'none'}.")
+    hint = "" if name in ESTIMATORS else did_you_mean(name, allowed)
+    return UserError(f"Estimator {name!r} {reason}{hint}; allowed are {', '.join(allowed) or 'none'}.")
 
 
 def consumers(estimators: list[str]) -> dict[str, dict[str, str]]:

@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from sal_height.beams import PATTERNS, read_beam_tables
 from sal_height.configuration import Angle, Decibels, Float, Int, StrictKeys, read_yaml, validated
-from sal_height.errors import UserError
+from sal_height.errors import UserError, did_you_mean
 from sal_height.geometry import Mounting, Origin, describe_implausible_pressure
 from sal_height.sensor import MAX_DETECTORS, Sensor
 from sal_height.simulation.impairments import UNIMPAIRED, Impairments
@@ -278,7 +278,8 @@ def load_preset(name_or_path: str) -> Preset:
         UserError: no such preset, not YAML, or a key that is missing, unknown or has a value out of its range.
     """
     path = SHIPPED / f"{name_or_path}.yaml" if name_or_path in preset_names() else Path(name_or_path)
-    unreadable = f"Preset {name_or_path!r} is neither a readable file nor one of {', '.join(preset_names())}."
+    hint = did_you_mean(name_or_path, preset_names())
+    unreadable = f"Preset {name_or_path!r} is neither a readable file nor one of {', '.join(preset_names())}{hint}."
     content = read_yaml(path, f"Preset {name_or_path}", unreadable)
     preset = parse_preset(content, name_or_path)
     pattern = preset.sensor.pattern

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sal_height.errors import UserError
+from sal_height.errors import UserError, did_you_mean
 from sal_height.geometry.elevation_model import read_elevation_model
 from sal_height.simulation.canopy import Canopy
 from sal_height.simulation.scene import PointScatterer, Scene
@@ -30,7 +30,8 @@ def load_scene(name_or_path: str, extent: float = 0.0) -> Scene:
         return replace(scene, extent=extent) if extent else scene
     if not os.path.isfile(name_or_path):  # noqa: PTH113 (Path raises for a name that no file can have)
         raise UserError(
-            f"Scene {name_or_path!r} is neither a file nor one of {', '.join(SCENES)}; "
+            f"Scene {name_or_path!r} is neither a file nor one of {', '.join(SCENES)}"
+            f"{did_you_mean(name_or_path, SCENES)}; "
             "give an elevation model as .tif or .npz."
         )
     return replace(terrain(Path(name_or_path)), extent=extent)

@@ -186,6 +186,37 @@ def test_wrong_use_ends_with_status_2_and_names_the_help(
     assert line.endswith(f"{command}--help.")
 
 
+@pytest.mark.parametrize(
+    ("words", "hint"),
+    [
+        (["budget", "sal_spotligt"], "'sal_spotlight'"),
+        (["run", "small"], "--preset small"),
+        (["run", "--preset", "xband_releif"], "'xband_relief'"),
+        (["run", "--scene", "wods"], "'woods'"),
+        (["run", "--preset", "small", "--estimators", "capn"], "'capon'"),
+        (["run", "--preset", "small", "--param", "ml_heigt.x=1"], "'ml_height'"),
+        (["montecarlo", "array", "--estimator", "musik"], "'music'"),
+        (["passes", str(FOLDER), "--estimator", "caopn"], "'capon'"),
+        (["figures", "relief_ordr"], "'relief_order'"),
+    ],
+    ids=lambda value: value if isinstance(value, str) else value[0],
+)
+def test_a_wrong_name_is_answered_with_the_closest_one(
+    words: list[str], hint: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(words) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert f"(did you mean {hint}?)" in line
+    assert line.endswith(".")
+
+
+def test_a_word_too_many_that_is_no_preset_has_no_hint(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", "smalll"]) == 2
+    assert main(["replay", "bag", "small"]) == 2
+    assert "did you mean" not in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("words", [[], ["montecarlo"], ["bag"]], ids=["nothing", "montecarlo", "bag"])
 def test_a_missing_command_shows_the_help_and_ends_with_status_2(
     words: list[str], capsys: pytest.CaptureFixture[str]

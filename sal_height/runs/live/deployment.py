@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated, Any
 
 from pydantic import BeforeValidator
 
 from sal_height.configuration import StrictKeys, read_yaml, validated
-from sal_height.errors import UserError
+from sal_height.errors import UserError, did_you_mean
 from sal_height.graph.catalogue import check_values
 from sal_height.graph.ensemble import Member
 from sal_height.graph.node_classes import NODES
@@ -96,7 +95,7 @@ def _member(name: str, entry: NodeEntry, common: str) -> Member:
     """
     kind = entry.node or name
     if kind not in NODES:
-        raise UserError(f"There is no node {kind!r}{_hint(kind, NODES)}; allowed are {', '.join(NODES)}.")
+        raise UserError(f"There is no node {kind!r}{did_you_mean(kind, NODES)}; allowed are {', '.join(NODES)}.")
     if not re.fullmatch(NAME, name):
         raise UserError(f"Node name {name!r} is not allowed; it must be of letters, digits and underscores.")
     namespace = common if entry.namespace is None else entry.namespace
@@ -132,9 +131,6 @@ def _check_topic(name: str, topic: str, node: type[Any]) -> None:
     topics = [*node.inputs, *node.outputs, DIAGNOSTICS, PROGRESS]
     known = [re.sub(r"<\w+>", ".+", re.escape(entry)) for entry in topics]
     if not any(re.fullmatch(f"(/.*)?{pattern}", topic) for pattern in known):
-        raise UserError(f"Node {name} has no topic {topic!r}{_hint(topic, topics)}; allowed are {', '.join(topics)}.")
-
-
-def _hint(name: str, known: Iterable[str]) -> str:
-    closest = get_close_matches(name, list(known), n=1)
-    return f" (did you mean {closest[0]!r}?)" if closest else ""
+        raise UserError(
+            f"Node {name} has no topic {topic!r}{did_you_mean(topic, topics)}; allowed are {', '.join(topics)}."
+        )

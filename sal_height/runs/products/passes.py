@@ -17,7 +17,7 @@ from sal_height.engine.frame_items import history_of
 from sal_height.engine.image_items import Images, Source
 from sal_height.engine.provenance import Provenance
 from sal_height.engine.results import Loss, Product
-from sal_height.errors import UserError
+from sal_height.errors import UserError, did_you_mean
 from sal_height.geometry import Grid, Trajectory
 from sal_height.graph.catalogue import NodeParameters
 from sal_height.graph.reporting import reporting
@@ -72,8 +72,9 @@ def heights_of_bags(
         UserError: a bag cannot be used, too few passes go together, or a setting is not allowed.
     """
     if estimator not in ESTIMATORS_OF_PASSES:
+        hint = did_you_mean(estimator, ESTIMATORS_OF_PASSES)
         names = ", ".join(ESTIMATORS_OF_PASSES)
-        raise UserError(f"Option --estimator is {estimator!r}; of passes allowed are {names}.")
+        raise UserError(f"Option --estimator is {estimator!r}{hint}; of passes allowed are {names}.")
     maker = ESTIMATORS[estimator]
     of_passes = {name: value for name, value in (wanted or {}).items() if name in PassSettings.model_fields}
     of_estimator = {name: value for name, value in (wanted or {}).items() if name not in of_passes}

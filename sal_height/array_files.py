@@ -54,7 +54,7 @@ def complex_images(path: Path) -> dict[str, Any]:
     arrays = dict(_read(path, _complex_datasets))
     found = {name: array for name, array in arrays.items() if np.iscomplexobj(array)}
     if not found:
-        there = ", ".join(f"{name} of {np.asarray(a).dtype}".strip() for name, a in arrays.items()) or "nothing"
+        there = ", ".join(f"{name or 'an array'} of {np.asarray(a).dtype}" for name, a in arrays.items()) or "nothing"
         raise UserError(f"File {path} has 0 complex arrays; it must have one (it contains: {there}).")
     return found
 

@@ -30,13 +30,26 @@ from sal_height.numeric import F64
 from sal_height.renamed import with_new_names
 from sal_height.sensor import Sensor, spectrum_sensor
 from sal_height.simulation import Preset, laser_structure, swings_little
-from sal_height.tables import aligned
+from sal_height.tables import aligned, with_prefix
 from sal_height.theory import AperturePhase, phase_of_line, phase_of_structure, sum_of_phases
 
 GROUP = "errors of this preset"
 
 QUARTIC_REST = np.sqrt((4 / 7) ** 2 / 5 + (8 / 35) ** 2 / 9)
 """Rms of x^4 over -1 < x < 1 about its mean and slope, by Legendre's polynomials: x^4 = 1/5 + 4/7 P2 + 8/35 P4."""
+
+
+BASE_UNITS = {
+    **{unit: (1.0, unit) for unit in ("m", "m/s", "m/s²", "s", "rad", "Hz", "W")},
+    "ms": (1e-3, "s"),
+    "µs": (1e-6, "s"),
+    "µm": (1e-6, "m"),
+    "µrad": (1e-6, "rad"),
+    "kHz": (1e3, "Hz"),
+    "MB": (1e6, "B"),
+    "MB/s": (1e6, "B/s"),
+}
+"""Size of the units of entries in units without a prefix, of those that take prefixes."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +75,10 @@ class BudgetEntry:
 
 def budget_table(entries: Sequence[BudgetEntry]) -> str:
     """The numbers as lines of text, under their headings."""
-    cells = [(f"  {one.title}", _number(one.value), f"{one.unit.ljust(4)} {one.remark}".rstrip()) for one in entries]
+    cells = []
+    for one in entries:
+        number, unit = _printed(one.value, one.unit)
+        cells.append((f"  {one.title}", number, f"{unit.ljust(5)} {one.remark}".rstrip()))
     width = max(len(unit) for *_, unit in cells)
     rows = aligned([(title, number, unit.ljust(width)) for title, number, unit in cells]).splitlines()
     lines: list[str] = []
@@ -71,9 +87,12 @@ def budget_table(entries: Sequence[BudgetEntry]) -> str:
     return "\n".join(lines)
 
 
-def _number(value: float) -> str:
-    """A number with four digits that count, and without an exponent."""
-    return np.format_float_positional(value, precision=4, unique=False, fractional=False, trim="-").rstrip(".")
+def _printed(value: float, unit: str) -> tuple[str, str]:
+    """A number with four significant digits, and its unit with the prefix that fits; dB and counts have none."""
+    if unit not in BASE_UNITS:
+        return f"{value:.4g}", unit
+    size, base = BASE_UNITS[unit]
+    return with_prefix(size * value, base)
 
 
 @dataclass(frozen=True, eq=False)

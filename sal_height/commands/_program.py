@@ -24,7 +24,7 @@ EXAMPLES = """
   sal-height COMMAND --help                 options and examples of a command
 """
 
-HELP_FLAGS = ("--help", "-h", "--version")
+HELP_FLAGS = ("--help", "-h", "--version", "--install-completion")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -73,9 +73,10 @@ def program() -> App:
         name="sal-height",
         help="Height images from synthetic-aperture lidar and multi-beam radar, as a ROS 2 graph.",
         help_format="plaintext",
-        help_epilogue=epilogue(EXAMPLES),
+        help_epilogue=epilogue(EXAMPLES, "a check failed or a result is incomplete; the command's help says which"),
         version=f"sal_height {__version__}",
     )
+    app.register_install_completion_command(help="Complete words with Tab in bash, zsh or fish.")
     for command in _commands():
         app.command(command)
     return app

@@ -28,6 +28,7 @@ from sal_height.commands._options import (
     repeated,
 )
 from sal_height.io import bag_name
+from sal_height.tables import counted
 
 if TYPE_CHECKING:
     from sal_height.bag.described import DwellReport
@@ -179,7 +180,7 @@ def recover_bag(bag: Path, folder: Path) -> int:
     from sal_height.bag.salvage import recover, recovery_table
 
     recovery = recover(bag, folder)
-    print(f"{recovery_table(recovery)}\n{recovery.count} messages recovered in {folder}")
+    print(f"{recovery_table(recovery)}\n{counted(recovery.count, 'message')} recovered in {folder}")
     complain([*map(str, recovery.gaps)])
     return DONE if recovery.is_whole else FAILED
 
@@ -256,8 +257,8 @@ def cut(
     begin_ns, end_ns = (None if time is None else time_of(reader, time) for time in (from_, to))
     done = cut_out(bag, folder, Range(begin_ns, end_ns, dwells))
     for topic, count in done.dwells.items():
-        print(f"{count} dwells of {topic}")
-    print(f"{done.counts.total()} messages in {folder}")
+        print(f"{counted(count, 'dwell')} of {topic}")
+    print(f"{counted(done.counts.total(), 'message')} in {folder}")
     return DONE
 
 
@@ -277,6 +278,6 @@ def upgrade(bag: Bag, /, *, out: OutputFolder = None) -> int:
 
     made = write_anew(bag, folder)
     for topic, count in made.items():
-        print(f"{count} messages of {topic} made again")
+        print(f"{counted(count, 'message')} of {topic} made again")
     print(f"see {folder}" if made else f"all messages are of today's version; {folder} is a copy")
     return DONE

@@ -19,6 +19,7 @@ from sal_height.commands._options import (
     complain,
     node_parameters,
 )
+from sal_height.tables import counted
 
 EXAMPLES = """
   sal-height batch flights/*/bag --out out/campaign
@@ -82,7 +83,7 @@ def batch(
     print(f"{campaign_table(rows, list(varied))}\nsee {out / SUMMARY}")
     failed = [f"Bag {row['bag']}: {row['failure']}" for row in rows if row["failure"]]
     lost = [
-        f"Bag {row['bag']}: {row['dropped']} dwells were left out: {row['drops']}."
+        f"Bag {row['bag']}: {counted(row['dropped'], 'dwell')} left out: {row['drops']}."
         for row in rows
         if row.get("dropped")
     ]

@@ -10,6 +10,7 @@ from cyclopts.validators import Number
 
 from sal_height.commands._options import DONE, PROCESSING, Bag, Place, command
 from sal_height.errors import UserError
+from sal_height.tables import counted
 
 EXAMPLES = """
   sal-height export out/sal_spotlight/bag --las street.laz
@@ -77,20 +78,20 @@ def export(
 
     place = validated(OriginSettings, origin, "--origin").place if origin else None
     if sicd:
-        print(f"{write_sicd(bag, sicd, place)} images as SICD; see {sicd}")
+        print(f"{counted(write_sicd(bag, sicd, place), 'image')} as SICD; see {sicd}")
     if not (las or cog or netcdf or zarr or film):
         return DONE
     heights = RecordedHeights.of_bag(bag, topic, place, crs)
     system = heights.projection.name if heights.projection else "coordinates of the map frame"
     if las:
-        print(f"{write_las(heights, las)} points of {heights.topic} in {system}; see {las}")
+        print(f"{counted(write_las(heights, las), 'point')} of {heights.topic} in {system}; see {las}")
     if cog:
         rows, cols = write_map(heights, cog, cell_size)
         print(f"map of {rows} x {cols} cells in {system}; see {cog}")
     if netcdf:
-        print(f"{write_netcdf(heights, netcdf)} dwells of {heights.topic} in {system}; see {netcdf}")
+        print(f"{counted(write_netcdf(heights, netcdf), 'dwell')} of {heights.topic} in {system}; see {netcdf}")
     if zarr:
-        print(f"{write_zarr(heights, zarr)} dwells of {heights.topic} in {system}; see {zarr}")
+        print(f"{counted(write_zarr(heights, zarr), 'dwell')} of {heights.topic} in {system}; see {zarr}")
     if film:
-        print(f"{write_film(heights, film)} frames of {heights.topic}; see {film}")
+        print(f"{counted(write_film(heights, film), 'frame')} of {heights.topic}; see {film}")
     return DONE

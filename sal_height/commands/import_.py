@@ -8,6 +8,7 @@ from typing import Annotated
 from cyclopts import Group, Parameter
 
 from sal_height.commands._options import BAGS, DONE, OutputFolder, command, output_folder
+from sal_height.tables import counted
 
 KINDS = Group("What is imported", sort_key=3)
 
@@ -86,7 +87,7 @@ def arrays(
 
     folder = output_folder(out, data.stem)
     dwells = import_arrays(sensor, data, folder, track)
-    print(f"{dwells} dwells in {folder}; process them with: sal-height replay {folder}")
+    print(f"{counted(dwells, 'dwell')} in {folder}; process them with: sal-height replay {folder}")
     return DONE
 
 
@@ -113,7 +114,7 @@ def cphd(
 
     folder = output_folder(out, file.stem)
     pulses = import_cphd(file, folder, channel)
-    print(f"{pulses} pulses in {folder}; focus them with: sal-height replay {folder}")
+    print(f"{counted(pulses, 'pulse')} in {folder}; focus them with: sal-height replay {folder}")
     return DONE
 
 
@@ -141,7 +142,7 @@ def crsd(
 
     folder = output_folder(out, file.stem)
     pulses = import_crsd(file, folder, channel)
-    print(f"{pulses} pulses in {folder}; focus them with: sal-height replay {folder}")
+    print(f"{counted(pulses, 'pulse')} in {folder}; focus them with: sal-height replay {folder}")
     return DONE
 
 
@@ -164,7 +165,7 @@ def gotcha(
 
     folder = output_folder(out, "gotcha")
     pulses = import_gotcha(list(files), folder, dwells)
-    print(f"{pulses} pulses in {folder}; focus them with: sal-height replay {folder}")
+    print(f"{counted(pulses, 'pulse')} in {folder}; focus them with: sal-height replay {folder}")
     return DONE
 
 
@@ -191,5 +192,5 @@ def slc(
 
     folder = output_folder(out, sensor.stem)
     dwells = import_slc(sensor, list(files), folder)
-    print(f"{dwells} dwells in {folder}; make heights of them with: sal-height replay {folder} --from slc")
+    print(f"{counted(dwells, 'dwell')} in {folder}; make heights of them with: sal-height replay {folder} --from slc")
     return DONE

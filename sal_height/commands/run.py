@@ -27,6 +27,7 @@ from sal_height.commands._options import (
     node_parameters,
     output_folder,
 )
+from sal_height.tables import counted
 
 if TYPE_CHECKING:
     from sal_height.simulation import Preset
@@ -105,7 +106,7 @@ def run(
     pictures = ("scene3d.png", "height.png", "errors.png", "ground.png", "profile.png", "doubts.png")
     left = (folder / name for name in (*pictures, RELIEF_MAP, "report.json", "bag"))
     first, *others = [str(path) for path in left if path.exists()]
-    print(f"{outcome.dwells} dwells{interrupted}; look first at {first}, then at {', '.join(others)}")
+    print(f"{counted(outcome.dwells, 'dwell')}{interrupted}; look first at {first}, then at {', '.join(others)}")
     if outcome.interrupted:
         return INTERRUPTED
     complain(outcome.losses)

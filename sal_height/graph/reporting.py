@@ -11,6 +11,7 @@ from typing import Any
 from sal_height import __version__
 from sal_height.bag import files
 from sal_height.bag.compare import TopicComparison
+from sal_height.elevation import Validity
 from sal_height.engine.registry import STAGES, takes_heights
 from sal_height.errors import UserError
 from sal_height.graph.catalogue import HEIGHTS, NodeParameters
@@ -186,8 +187,15 @@ def _changes(compared: Mapping[str, TopicComparison]) -> Iterator[str]:
             if one.outside and one.worst:
                 worst = one.worst
                 where = f"dwell {worst.dwell}" + (f", value {worst.position}" if one.values > result.matched else "")
-                said.setdefault(f"{name} is {worst.made} instead of {worst.golden} in {where}", []).append(topic)
+                made, golden = (_named(name, value) for value in (worst.made, worst.golden))
+                said.setdefault(f"{name} is {made} instead of {golden} in {where}", []).append(topic)
     return (f"{what} ({', '.join(topics)})." for what, topics in said.items())
+
+
+def _named(field: str, value: str) -> str:
+    """A value as text; that of a validity by its name, such as OK."""
+    known = field == "validity" and value in {str(one.value) for one in Validity}
+    return Validity(int(value)).name if known else value
 
 
 def campaign_table(rows: Sequence[Mapping[str, Any]], varied: Sequence[str]) -> str:

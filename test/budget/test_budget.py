@@ -181,6 +181,21 @@ def test_undescribed_gains_move_heights_as_they_move_estimates(
     assert one["gains_height_m"] == pytest.approx(expected, rel=0.05, abs=1e-4)  # the search stops at that
 
 
+def test_the_table_has_units_with_prefixes_and_the_file_the_units_in_its_names() -> None:
+    """A kilometre and a micrometre of one table; ratios, decibels and rates have no prefix."""
+    entries = Budget(load_preset("sal_spotlight"), Assumptions()).entries()
+    lines = {tuple(line.rsplit(maxsplit=2)) for line in budget_table(entries).splitlines()}
+    for title, number, unit in (
+        ("  slant range", "5", "km"),
+        ("  vibration with echoes of -20 dB, amplitude", "24.67", "nm"),
+        ("  single-look CNR at beam centre", "20", "dB"),
+        ("  dwells", "86.02", "1/s"),
+        ("  during a dwell", "1.311", "GB/s"),
+    ):
+        assert (title, number, unit) in lines
+    assert {one.key: one.value for one in entries}["slant_range_m"] == 5000.0
+
+
 def test_errors_of_the_preset_have_a_group_only_where_there_are_some() -> None:
     clean = budget_table(Budget(load_preset("small"), Assumptions()).entries())
     wrong = budget_table(Budget(load_preset("sal_realistic"), Assumptions()).entries())

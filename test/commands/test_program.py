@@ -144,7 +144,13 @@ def test_examples_and_exit_statuses_fit_a_terminal_of_80_columns(path: list[str]
 
 @pytest.mark.parametrize(
     ("command", "failure"),
-    [("run", "no valid height"), ("replay", "heights differ"), ("psf", "no estimate"), ("figures", "from theory")],
+    [
+        ("run", "no valid height"),
+        ("--help", "a check failed"),
+        ("replay", "heights differ"),
+        ("psf", "no estimate"),
+        ("figures", "from theory"),
+    ],
 )
 def test_status_1_is_explained_where_it_can_occur(
     command: str, failure: str, capsys: pytest.CaptureFixture[str]
@@ -215,6 +221,22 @@ def test_a_word_too_many_that_is_no_preset_has_no_hint(capsys: pytest.CaptureFix
     assert main(["run", "smalll"]) == 2
     assert main(["replay", "bag", "small"]) == 2
     assert "did you mean" not in capsys.readouterr().err
+
+
+def test_completion_is_installed_and_offers_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    script = tmp_path / "sal-height"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("HOME", str(tmp_path))
+        assert main(["--install-completion", "--shell", "bash", "--output", str(script)]) == 0
+    assert str(script) in capsys.readouterr().out
+    typed = f"source {script}; COMP_WORDS=(sal-height rep); COMP_CWORD=1; _sal_height"
+    completed = subprocess.run(  # noqa: S603 (our own text)
+        ["bash", "-c", f'{typed}; echo "${{COMPREPLY[@]}}"'],  # noqa: S607 (that of the system)
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert completed.stdout.split() == ["replay"]
 
 
 @pytest.mark.parametrize("words", [[], ["montecarlo"], ["bag"]], ids=["nothing", "montecarlo", "bag"])

@@ -21,6 +21,7 @@ from tqdm import tqdm
 
 from sal_height import __version__
 from sal_height.bag.compare import compare_bags
+from sal_height.bag.files import bag_files
 from sal_height.bag.reader import BagReader
 from sal_height.bag.tolerance import ROUNDING
 from sal_height.bag.topics import HEIGHT_TYPE
@@ -230,8 +231,8 @@ def run_campaign(campaign: Campaign, out: Path, workers: Workers) -> list[dict[s
         workers: processes or hosts that do the work.
 
     Raises:
-        UserError: an estimator or a parameter is not allowed, the folder contains something else, there is no cluster,
-            or a package is not installed.
+        UserError: a bag does not exist, an estimator or a parameter is not allowed, the folder contains something
+            else, there is no cluster, or a package is not installed.
         KeyboardInterrupt: the user has interrupted; what is done stays.
     """
     if find_spec("pyarrow") is None:
@@ -240,6 +241,7 @@ def run_campaign(campaign: Campaign, out: Path, workers: Workers) -> list[dict[s
     cases = campaign.cases(out)
     for case in cases:
         check_parameters(case.given)
+        bag_files(case.bag)
     _enter(campaign, out)
     rows = {number: known(case.folder) for number, case in enumerate(cases) if is_done(case.folder)}
     remaining = {number: case for number, case in enumerate(cases) if number not in rows}

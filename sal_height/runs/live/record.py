@@ -21,6 +21,7 @@ from sal_height.nodes.accounts.account import TopicCounts
 from sal_height.nodes.recording.recorder import Recorder
 from sal_height.nodes.transport.domain import DomainChoice, ros_domain
 from sal_height.nodes.transport.graph import Graph
+from sal_height.tables import counted
 from sal_height.workers.processes import Interruption
 
 DEFAULT_FOLDER = Path("out/recorded")
@@ -102,7 +103,7 @@ def messages_left_out(bag: Path) -> int:
 
 def recorded_table(done: RecordingProgress) -> Table:
     """A line for each topic."""
-    title = f"{done.folder}: {done.written} messages in {done.elapsed_s:.0f} s"
+    title = f"{done.folder}: {counted(done.written, 'message')} in {done.elapsed_s:.0f} s"
     table = Table(title=title, box=SIMPLE_HEAD)
     table.add_column("topic", no_wrap=True)
     table.add_column("written", justify="right")

@@ -23,7 +23,7 @@ from sal_height.movers import Blind, Mover, MoverSettings, check_sensor
 from sal_height.runs.chain.chain_runs import COMPRESSION, BagRun, plan
 from sal_height.runs.chain.replay_parameters import ReplayPlan
 from sal_height.sensor import Sensor
-from sal_height.tables import aligned, number_text
+from sal_height.tables import aligned, counted, number_text
 
 STAGES_OF_MOVERS = (COMPRESSION, DETECTOR)
 
@@ -62,9 +62,8 @@ def _blind_entry(blind: Blind) -> dict[str, float]:
 def movers_table(summary: Mapping[str, Any]) -> str:
     """The report as a table with a line for each mover."""
     movers = summary["movers"]
-    lines = [
-        f"{len(movers)} movers; {summary['candidates']} bright pixels of {summary['images']} images were looked at"
-    ]
+    seen = f"{summary['candidates']} bright pixels of {summary['images']} images were looked at"
+    lines = [f"{counted(len(movers), 'mover')}; {seen}"]
     if summary["dwells_left_out"]:
         lines[0] += f"; {summary['dwells_left_out']} of {summary['dwells']} dwells were left out"
     rows = [["dwell", "east m", "north m", "height m", "+-", "mm/s", "+-", "migration m/s", "+-"]]

@@ -56,7 +56,7 @@ def irf(
     entries: list[dict[str, Any]] = []
     targets: list[DrawnTarget] = []
     images = (image for path in paths for image in images_of(path, dwell, channel, azimuth_axis, jobs))
-    for image in tqdm(images, desc="irf", unit="image", delay=1, leave=False):
+    for image in tqdm(images, desc="irf", unit=" image", delay=1, leave=False):
         try:
             response = measure_brightest(image.pixels, near)
         except UserError as error:

@@ -161,6 +161,8 @@ def test_what_is_in_the_way_is_refused(recorded: Path, tmp_path: Path, monkeypat
     for product, remedy in {"adjusted": "sal-height adjust", "movers": "sal-height movers"}.items():
         with pytest.raises(UserError, match=remedy):
             run_campaign(Campaign([recorded / "bag"], estimators=("ml", product)), tmp_path / "new", Workers())
+    with pytest.raises(UserError, match=r"^Bag nobag does not exist"):
+        run_campaign(Campaign([recorded / "bag", Path("nobag")]), tmp_path / "new", Workers())
     assert not (tmp_path / "new").exists()
     with pytest.raises(UserError, match=r"no Dask scheduler at 'tcp://127\.0\.0\.1:1'"):
         run_campaign(campaign, tmp_path / "new", Workers(scheduler="tcp://127.0.0.1:1"))

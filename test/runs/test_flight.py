@@ -133,11 +133,17 @@ def test_every_section_of_the_parameter_file_is_of_a_node() -> None:
     assert {section.removeprefix("/**/") for section in sections} <= set(MEMBERS)
 
 
+def test_the_example_states_nothing_of_a_place_or_of_a_sensor() -> None:
+    """Maps have local coordinates, and images the size that suits the sensor, until the user says otherwise."""
+    stated = {f"{name}.{key}" for name, member in MEMBERS.items() for key in member.parameters}
+    assert not [name for name in stated if "origin" in name or name.startswith("sar_compression.")]
+
+
 def test_parameters_reach_nodes_of_another_namespace_and_of_none(graph: Graph) -> None:
     for namespace in ("aircraft/lidar", ""):
-        words = started(namespace=namespace)["sar_compression"].arguments
-        node = NODES["sar_compression"](context=graph.context, cli_args=words)
-        assert node.get_parameter("rows").value == MEMBERS["sar_compression"].parameters["rows"]
+        words = started(namespace=namespace)["coarse"].arguments
+        node = NODES["ml_height"](context=graph.context, cli_args=words)
+        assert node.get_parameter("range_looks").value == MEMBERS["coarse"].parameters["range_looks"]
         node.destroy_node()
 
 

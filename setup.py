@@ -1,6 +1,7 @@
 """Builds sal_height, for pip and for colcon (ament_python)."""
 
 import re
+import sys
 from pathlib import Path
 
 from setuptools import find_packages, setup
@@ -14,6 +15,15 @@ processing_nodes = sorted(
     for module in Path("sal_height/engine").glob("*.py")
     for name in re.findall(r'^    usual_name = "(\w+)"', module.read_text(encoding="utf-8"), re.MULTILINE)
 )
+
+programs = (
+    *("live_host", "paced_player", "player", "recorder", "simulator"),
+    *height_nodes,
+    *processing_nodes,
+)
+# colcon, which runs one of these commands, installs programs into lib/sal_height (setup.cfg), under the names that
+# `ros2 run sal_height` and launch files use. pip puts them beside all others, where such names are too common.
+prefix = "" if {"develop", "install"} & set(sys.argv) else "sal-height-"
 
 SHARED = ("config", "launch")
 
@@ -82,12 +92,7 @@ setup(
         "pytest11": ["sal_height = sal_height.pytest_plugin"],
         "console_scripts": [
             "sal-height = sal_height.commands:main",
-            "simulator = sal_height.nodes.simulator:main",
-            *(f"{node} = sal_height.nodes.processing:main" for node in (*height_nodes, *processing_nodes)),
-            "live_host = sal_height.nodes.live_host:main",
-            "paced_player = sal_height.nodes.playing.player:main",
-            "player = sal_height.nodes.playing.player:main",
-            "recorder = sal_height.nodes.recording.recorder:main",
+            *(f"{prefix}{program} = sal_height.nodes.scripts:main" for program in programs),
         ],
     },
 )

@@ -14,6 +14,7 @@ from importlib.metadata import entry_points, packages_distributions
 from pathlib import Path
 from zipfile import ZipFile
 
+import pytest
 import sal_height_msgs.msg as messages
 
 import sal_height
@@ -104,28 +105,41 @@ def test_ros_is_an_extra() -> None:
     assert set(re.findall(r'"([^"]+)"', line)) == {"ros", *ROS_WHEELS}
 
 
+NODES = {
+    "simulator",
+    "navigation",
+    "sar_compression",
+    *(estimator.node for estimator in ESTIMATORS.values()),
+    "relief_tracker",
+    "height_adjuster",
+    "mover_detection",
+    "relief_mapper",
+    "ground_mapper",
+    "psf_calibration",
+    "recorder",
+    "live_host",
+    "paced_player",
+    "player",
+}
+
+
 def test_every_program_can_be_started() -> None:
     programs = {e.name: e.value for e in entry_points(group="console_scripts") if e.value.startswith("sal_height.")}
-    assert {
-        "sal-height",
-        "simulator",
-        "navigation",
-        "sar_compression",
-        *(estimator.node for estimator in ESTIMATORS.values()),
-        "relief_tracker",
-        "height_adjuster",
-        "mover_detection",
-        "relief_mapper",
-        "ground_mapper",
-        "psf_calibration",
-        "recorder",
-        "live_host",
-        "paced_player",
-        "player",
-    } == set(programs)
+    assert {"sal-height", *(f"sal-height-{node}" for node in NODES)} == set(programs)
     for value in programs.values():
         module, function = value.split(":")
         assert callable(getattr(importlib.import_module(module), function))
+
+
+@pytest.mark.parametrize("command", ["install", "develop"])
+def test_ros2_run_knows_the_programs_by_the_names_of_the_nodes(command: str) -> None:
+    """They are the commands that colcon runs, without and with --symlink-install."""
+    program = (
+        f"from setuptools import setup; from distutils.core import run_setup; "
+        f"print(*run_setup('setup.py', ['{command}'], stop_after='init').entry_points['console_scripts'], sep='\\n')"
+    )
+    told = subprocess.run([sys.executable, "-c", program], cwd=ROOT, check=True, capture_output=True, text=True).stdout  # noqa: S603 (our own file)
+    assert {line.partition(" = ")[0] for line in told.splitlines()} == {"sal-height", *NODES}
 
 
 def test_a_wheel_holds_all_that_programs_and_ros_read(tmp_path: Path) -> None:

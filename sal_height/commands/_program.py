@@ -15,6 +15,7 @@ from cyclopts import App, CycloptsError, UnusedCliTokensError
 from sal_height import __version__
 from sal_height.commands._options import BAD_USE, CUT_OFF, DONE, INTERRUPTED, SHIPPED_PRESETS, epilogue
 from sal_height.errors import UserError
+from sal_height.extras import how_to_install_ros, is_of_ros
 
 EXAMPLES = """
   sal-height run                            simulate the lidar over a street
@@ -57,9 +58,9 @@ def _status(words: list[str]) -> int:
     except UserError as error:
         return _complain(str(error))
     except ModuleNotFoundError as error:
-        if not _is_of_ros(error.name or ""):
+        if not is_of_ros(error.name or ""):
             raise
-        return _complain(_how_to_install(error.name or "", words[0]))
+        return _complain(how_to_install_ros(error.name or "", words[0]))
     except KeyboardInterrupt:
         return INTERRUPTED
     if status is None:  # help or the version was printed
@@ -128,18 +129,3 @@ def _preset_hint(error: UnusedCliTokensError) -> str:
 
 def _help_command(error: CycloptsError) -> str:
     return " ".join(["sal-height", *(error.command_chain or ()), "--help"])
-
-
-def _is_of_ros(module: str) -> bool:
-    """True if a module belongs to ROS 2 or is one of the message packages."""
-    top = module.partition(".")[0]
-    return top.startswith(("rcl", "rosidl", "ament")) or top.endswith(("_msgs", "_interfaces", "_srvs"))
-
-
-def _how_to_install(module: str, command: str) -> str:
-    top = module.partition(".")[0]
-    if top == "sal_height_msgs":
-        how = "install the messages of sal_height, from its repository, with: pip install ./msg_defs"
-    else:
-        how = 'install ROS 2 with: pip install "ros-jazzy-rclpy[fastrtps]" ros-jazzy-common-interfaces'
-    return f"Command {command} needs the Python module {top}, which is not installed; {how}."

@@ -5,10 +5,11 @@ from __future__ import annotations
 import os
 import re
 import sys
+from pathlib import Path
 
 from sal_height.workers.processes import ONE_THREAD, use_one_thread
 
-USAGE = """usage: live_host NODE[=KIND] ... [--ros-args -r NODE:TOPIC:=OTHER -p NODE:PARAMETER:=VALUE ...]
+USAGE = """usage: {program} NODE[=KIND] ... [--ros-args -r NODE:TOPIC:=OTHER -p NODE:PARAMETER:=VALUE ...]
 
 Runs the named nodes in one process, which receives every frame once and has worker processes
 compress dwells and estimate heights. Each is a node of its own, with the topics, parameters and
@@ -16,8 +17,8 @@ services that its own program has: see KIND --help. In a namespace, parameters o
 set by a file of --params-file with a section /**/NODE. KIND is the name of the program, if NODE
 is another name.
 
-  live_host sar_compression ml_height relief_tracker relief_mapper
-  live_host sar_compression ml_height coarse=ml_height --ros-args -r coarse:ml/height:=coarse/height
+  {program} sar_compression ml_height relief_tracker relief_mapper
+  {program} sar_compression ml_height coarse=ml_height --ros-args -r coarse:ml/height:=coarse/height
 
 KIND is one of {kinds}.
 """
@@ -39,7 +40,7 @@ def main() -> int:
 
     asked = remove_ros_args(sys.argv)[1:]
     if {"--help", "-h"} & set(asked):
-        sys.stdout.write(USAGE.format(kinds=", ".join(PROCESSING)))
+        sys.stdout.write(USAGE.format(program=Path(sys.argv[0]).name, kinds=", ".join(PROCESSING)))
         return 0
     members = []
     for word in asked:
@@ -49,7 +50,7 @@ def main() -> int:
             return 2
         members.append((kind or name, name))
     if len({name for _, name in members}) < max(1, len(members)):
-        sys.stderr.write("Name the nodes to run, each once, such as: live_host sar_compression ml_height.\n")
+        sys.stderr.write("Name the nodes to run, each once, such as: sar_compression ml_height.\n")
         return 2
     members.sort(key=lambda member: rank(member[0]))
     nodes = [(PROCESSING[kind], ["--ros-args", "-r", f"__node:={name}"]) for kind, name in members]

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping
-from pathlib import Path
 
 from sal_height.engine.registry import STAGES
 from sal_height.nodes.host import StageNode, node_of
 from sal_height.nodes.program import run_node
+from sal_height.nodes.scripts import node_of_script
 
 PROCESSING: Mapping[str, type[StageNode]] = {
     name: node_of(stage, settable=name != "navigation") for name, stage in STAGES.items()
@@ -23,7 +23,7 @@ def rank(kind: str) -> tuple[bool, int]:
 
 def main() -> int:
     """Console script of all processing nodes; the name of the script is that of the node."""
-    return run_node(PROCESSING[Path(sys.argv[0]).stem])
+    return run_node(PROCESSING[node_of_script()])
 
 
 if __name__ == "__main__":

@@ -81,7 +81,7 @@ def start_both(start: Start, **variables: str) -> None:
 
 
 def start_node(start: Start, host: int, name: str, **variables: str) -> subprocess.Popen[str]:
-    return start(host, Path(sys.prefix, "bin", name), **variables)
+    return start(host, Path(sys.prefix, "bin", f"sal-height-{name}"), **variables)
 
 
 def feed(start: Start, out: Path, *options: str, **variables: str) -> dict[str, dict[str, float]]:

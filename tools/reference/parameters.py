@@ -14,7 +14,7 @@ HEAD = """# Parameters of the nodes
 
 `tools/reference` makes this page from the settings models in the code; a test fails if it is out of date.
 Set a parameter of a run or replay by `--param NODE.NAME=VALUE`, of a node by `--ros-args -p NAME:=VALUE`, and in a
-preset under `processing`. `.venv/bin/NODE --help` prints the same. A parameter that is "set at the start" cannot be
+preset under `processing`. `sal-height-NODE --help` prints the same. A parameter that is "set at the start" cannot be
 changed while the node runs.
 """
 

@@ -119,7 +119,7 @@ class ElevationEstimator:
 
     Attributes:
         name: name in topics, `<name>/height`, in HeightImage.estimator, and on the command line.
-        node: name of its ROS node and of the console script that starts it.
+        node: name of its ROS node; the console script that starts it is `sal-height-` and this name.
         title: title in pictures and tables.
         settings: class of its settings.
         estimate: function that returns the elevation of every pixel of a dwell.

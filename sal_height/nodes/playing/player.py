@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import bisect
-import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import accumulate
@@ -42,6 +41,7 @@ from sal_height.nodes.accounts.account import CALIBRATIONS, DWELLS
 from sal_height.nodes.managed import INACTIVE, SENSOR_TOPICS, Topics
 from sal_height.nodes.playing.playlist import CLOCK, PacedClock, Playlist, SimulatedClock, delivered
 from sal_height.nodes.program import run_node
+from sal_height.nodes.scripts import node_of_script
 from sal_height.nodes.transport.endpoints import Outlet
 from sal_height.nodes.transport.qos import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS
 from sal_height.nodes.worker import RESET, WorkerNode
@@ -467,7 +467,7 @@ def _class_of(topic: Topic) -> type[Any]:
 
 def main() -> int:
     """Console script of both nodes; the name of the script is that of the node."""
-    return run_node(PacedPlayer if Path(sys.argv[0]).stem == PacedPlayer.usual_name else Player)
+    return run_node(PacedPlayer if node_of_script() == PacedPlayer.usual_name else Player)
 
 
 if __name__ == "__main__":

@@ -185,7 +185,7 @@ class _Window:
         self._latched = {
             name: deque[BagMessage](maxlen=count)
             for name, topic in reader.topics.items()
-            if (count := _kept_count(topic))
+            if (count := kept_count(topic))
         }
         self._parameters: dict[str, tuple[ParameterEvent, BagMessage]] = {}
 
@@ -243,7 +243,7 @@ def _stamps_for(topic: str, plans: Sequence[_SensorPlan]) -> frozenset[int]:
     return innermost.stamps if innermost else frozenset()
 
 
-def _kept_count(topic: Topic) -> int:
+def kept_count(topic: Topic) -> int:
     """Number of messages of a topic that late subscribers receive; 0 if it is not latched."""
     if topic.type_name in OF_DWELLS:
         return 0

@@ -1,4 +1,4 @@
-"""`sal-height bag`: look at a bag, check, repair, cut and upgrade it."""
+"""`sal-height bag`: look at a bag, check, repair, cut, merge and upgrade it."""
 
 from __future__ import annotations
 
@@ -41,6 +41,7 @@ EXAMPLES = """
   sal-height bag recover damaged/bag    what is whole of it, as a new bag
   sal-height bag diff golden/bag out/small/bag
   sal-height bag cut out/small/bag --dwells 1:1    a part, which can be replayed
+  sal-height bag merge lidar navigation            bags of two recorders as one
 """
 
 INFO_EXAMPLES = """
@@ -70,6 +71,11 @@ CUT_EXAMPLES = """
   sal-height bag cut flight --from 1795404227.7        a time since 1970
 """
 
+MERGE_EXAMPLES = """
+  sal-height bag merge lidar navigation --out out/flight    of two recorders
+  sal-height bag merge flight_0.mcap flight_1.mcap          files of a split
+"""
+
 UPGRADE_EXAMPLES = """
   sal-height bag upgrade bags/version_1 --out out/today
 """
@@ -82,14 +88,15 @@ Seconds: TypeAlias = Annotated[Decimal | None, Parameter(metavar="S", validator=
 Json: TypeAlias = Annotated[Flag, Parameter(name="--json")]
 
 app = command("bag", BAGS, EXAMPLES)
-app.help = "Look at a bag, check and repair it, cut a part out of it, and bring it up to date."
+app.help = "Look at a bag, check and repair it, cut a part out of it, merge several, and bring one up to date."
 info_app = command("info", PARTS, INFO_EXAMPLES)
 check_app = command("check", PARTS, CHECK_EXAMPLES, "there are findings")
 recover_app = command("recover", PARTS, RECOVER_EXAMPLES, LOST)
 diff_app = command("diff", PARTS, DIFF_EXAMPLES, "messages are missing or extra, or differ by more than the tolerance")
 cut_app = command("cut", PARTS, CUT_EXAMPLES)
+merge_app = command("merge", PARTS, MERGE_EXAMPLES)
 upgrade_app = command("upgrade", PARTS, UPGRADE_EXAMPLES)
-for part in (info_app, check_app, recover_app, cut_app, upgrade_app, diff_app):
+for part in (info_app, check_app, recover_app, cut_app, merge_app, upgrade_app, diff_app):
     app.command(part)
 
 
@@ -259,6 +266,40 @@ def cut(
     for topic, count in done.dwells.items():
         print(f"{counted(count, 'dwell')} of {topic}")
     print(f"{counted(done.counts.total(), 'message')} in {folder}")
+    return DONE
+
+
+@merge_app.default
+def merge(
+    bags: Annotated[tuple[Path, ...], Parameter(name="BAG", show_default=False)],
+    /,
+    *,
+    out: OutputFolder = None,
+) -> int:
+    """Merge bags into one, in the order in which their messages were received.
+
+    The bags are files of a split, or those of several recorders of one flight. A
+    message that several of them have is kept once, and so is a latched one that
+    they repeat. Bags with different types of a topic, or with different
+    definitions of a type, are refused.
+
+    Args:
+        bags: Folders of the bags, or .mcap files.
+        out: Folder of the new bag, new or empty. Default: out/merge_BAG of the first one, or the next free of
+            out/merge_BAG_2, ….
+    """
+    folder = output_folder(out, f"merge_{bag_name(bags[0])}")
+
+    from sal_height.bag.merge import merge as merge_bags
+
+    merged = merge_bags(bags, folder)
+    for topic, count in merged.duplicates.items():
+        print(f"{count} messages of {topic} were in several bags and are kept once")
+    for topic, count in merged.latched.items():
+        print(f"{count} latched messages of {topic} repeated earlier ones and are left out")
+    for name in merged.custom_data:
+        print(f"custom data {name!r} differ; those of the earliest bag are kept")
+    print(f"{sum(merged.counts.values())} messages in {folder}")
     return DONE
 
 

@@ -29,7 +29,7 @@ FOLDER = Path(sal_height.commands.__file__).parent
 MODULES = {path.stem.rstrip("_").replace("_", "-"): path for path in sorted(FOLDER.glob("[a-z]*.py"))}
 COMMANDS = list(MODULES)
 WITH_OUTPUT = [name for name, path in MODULES.items() if "OutputFolder" in path.read_text()]
-BAG = ("info", "check", "recover", "cut", "upgrade", "diff")
+BAG = ("info", "check", "recover", "cut", "merge", "upgrade", "diff")
 PATHS = [
     [],
     *([name] for name in COMMANDS),

@@ -6,6 +6,7 @@ from typing import Any, ClassVar
 
 from sal_height import messages
 from sal_height.engine.stage import FOREVER_NS, StageSettings
+from sal_height.messages.flight import dwell_messages, first_messages
 from sal_height.messages.types import ChannelFrame, NavSatFix, Odometry, SensorInfo
 from sal_height.nodes.accounts.account import DWELLS
 from sal_height.nodes.managed import INACTIVE, SENSOR_TOPICS, Topics
@@ -62,20 +63,18 @@ class Simulator(WorkerNode):
         self._published_ns = 0
         self._start_ns = parameters.start_ns or self.get_clock().now().nanoseconds
         self.step_ns = self._start_ns
-        self._info = self.offer(SensorInfo, SENSOR_INFO, LATCHED_QOS)
-        self._odometry = self.offer(Odometry, ODOMETRY, ODOMETRY_QOS)
-        self._frames = self.offer(ChannelFrame, PHASE_HISTORY)
-        self._info.publish(messages.sensor_to_message(self.flight.sensor, self._stamp(0)))
-        map_origin = self.offer(NavSatFix, MAP_ORIGIN, LATCHED_QOS)
-        if origin := self.flight.scene.origin:
-            map_origin.publish(messages.origin_to_message(origin, self._stamp(0), messages.MAP_FRAME))
-        self._air = {topic: self.offer(one.message_type, topic, ODOMETRY_QOS) for topic, one in messages.AIR.items()}
+        self._outlets = {
+            SENSOR_INFO: self.offer(SensorInfo, SENSOR_INFO, LATCHED_QOS),
+            ODOMETRY: self.offer(Odometry, ODOMETRY, ODOMETRY_QOS),
+            PHASE_HISTORY: self.offer(ChannelFrame, PHASE_HISTORY),
+            MAP_ORIGIN: self.offer(NavSatFix, MAP_ORIGIN, LATCHED_QOS),
+            **{topic: self.offer(one.message_type, topic, ODOMETRY_QOS) for topic, one in messages.AIR.items()},
+        }
+        for topic, message, _ in first_messages(self.flight, self._start_ns):
+            self._outlets[topic].publish(message)
         self.serve("~/step", self.step)
         if parameters.period_s > 0:
             self.every(parameters.period_s, self._begin_dwell, self.get_clock())
-
-    def _stamp(self, ns_after_start: int) -> Any:
-        return messages.to_stamp(self._start_ns + ns_after_start)
 
     def announced(self) -> dict[str, int]:
         """Stamps by topic, ns, before which nothing more will be published."""
@@ -101,19 +100,13 @@ class Simulator(WorkerNode):
         return dwell
 
     def _publish_dwell(self, dwell: int) -> int:
-        for air in self.flight.probed_air(dwell):
-            for topic, message in messages.air_to_messages(air.values, self._stamp(air.stamp_ns)).items():
-                self._air[topic].publish(message)
-        for state in self.flight.platform_states(dwell):
-            self._odometry.publish(messages.state_to_message(state, self._stamp(state.stamp_ns)))
-        history = self.flight.phase_history(dwell)
-        self._published_ns = self._start_ns + history.stamp_ns
-        stamp = self._stamp(history.stamp_ns)
-        frames = messages.history_to_messages(history, self.flight.sensor, dwell, stamp)
-        for frame in frames:
-            self._frames.publish(frame)
+        frames = 0
+        for topic, message, stamp_ns in dwell_messages(self.flight, dwell, self._start_ns):
+            self._outlets[topic].publish(message)
+            if topic == PHASE_HISTORY:
+                frames, self._published_ns = frames + 1, stamp_ns
         self.tally.note(DWELLS)
-        return len(frames)
+        return frames
 
 
 def main() -> int:

@@ -6,7 +6,7 @@ import dataclasses
 import json
 import math
 import time
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
@@ -23,6 +23,7 @@ from sal_height.bag.writer import BagWriter
 from sal_height.errors import UserError
 from sal_height.graph.catalogue import HEIGHTS, TRACKER, suited
 from sal_height.graph.reporting import PARAMETERS, PRESET, SEED, merged
+from sal_height.messages.flight import FlightMessage, dwell_messages, first_messages
 from sal_height.nodes.playing.playlist import Playlist
 from sal_height.runs.chain.entry import contents
 from sal_height.runs.chain.recorded_parameters import recorded_parameters
@@ -110,29 +111,17 @@ def record_sensor(preset: Preset, seed: int, folder: Path) -> Path:
     """
     flight = flight_of(preset, seed)
     start_ns = time.time_ns()
-    stamp = messages.to_stamp(start_ns)
     with BagWriter(folder, _custom_data(flight)) as bag:
         for name, (kind, offered) in _topics_of(flight).items():
             bag.add_topic(f"/{name}", kind, [offered])
 
-        def write(topic: str, message: Any, stamp_ns: int) -> None:
-            bag.write(f"/{topic}", messages.serialize(message), stamp_ns, stamp_ns)
+        def write(published: Iterable[FlightMessage]) -> None:
+            for topic, message, stamp_ns in published:
+                bag.write(f"/{topic}", messages.serialize(message), stamp_ns, stamp_ns)
 
-        write(SENSOR_INFO, messages.sensor_to_message(flight.sensor, stamp), start_ns)
-        if flight.scene.origin:
-            write(MAP_ORIGIN, messages.origin_to_message(flight.scene.origin, stamp, messages.MAP_FRAME), start_ns)
+        write(first_messages(flight, start_ns))
         for dwell in tqdm(range(preset.dwells), unit="dwell", desc="simulating"):
-            for air in flight.probed_air(dwell):
-                at_ns = start_ns + air.stamp_ns
-                for topic, message in messages.air_to_messages(air.values, messages.to_stamp(at_ns)).items():
-                    write(topic, message, at_ns)
-            for state in flight.platform_states(dwell):
-                at_ns = start_ns + state.stamp_ns
-                write(ODOMETRY, messages.state_to_message(state, messages.to_stamp(at_ns)), at_ns)
-            history = flight.phase_history(dwell)
-            at_ns = start_ns + history.stamp_ns
-            for frame in messages.history_to_messages(history, flight.sensor, dwell, messages.to_stamp(at_ns)):
-                write(FRAMES, frame, at_ns)
+            write(dwell_messages(flight, dwell, start_ns))
     return folder
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from importlib import import_module
+from importlib.util import find_spec
 from typing import Any
 
 from sal_height.errors import UserError
@@ -32,11 +33,15 @@ def is_of_ros(module: str) -> bool:
     return top.startswith(("rcl", "rosidl", "ament")) or top.endswith(("_msgs", "_interfaces", "_srvs"))
 
 
+def lacking_of_ros() -> str:
+    """First module that nodes need and that is not installed; empty: all are."""
+    return next((name for name in ("rclpy", "sal_height_msgs") if find_spec(name) is None), "")
+
+
 def how_to_install_ros(module: str, command: str) -> str:
     """Message for the user of a command that needs a module of ROS 2, which is not installed."""
-    top = module.partition(".")[0]
-    if top == "sal_height_msgs":
-        how = "install the messages of sal_height, from its repository, with: pip install ./msg_defs"
-    else:
-        how = 'install ROS 2 with: pip install "ros-jazzy-rclpy[fastrtps]" ros-jazzy-common-interfaces'
-    return f"Command {command} needs the Python module {top}, which is not installed; {how}."
+    return (
+        f"Command {command} needs ROS 2 and the messages of sal_height, and module {module.partition('.')[0]} is not "
+        "installed; install both with: pip install '.[ros]' ./msg_defs (in the repository of sal_height), or: pip "
+        "install 'sal_height[ros]' and the wheel of sal_height_msgs that is published with it."
+    )

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Mapping
-from importlib.util import find_spec
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -49,6 +48,7 @@ def replay_and_compare(
     """
     from sal_height.bag.compare import CHANGED  # noqa: PLC0415 (ROS only for tests that need it)
     from sal_height.bag.tolerance import ROUNDING, read_tolerances  # noqa: PLC0415
+    from sal_height.extras import lacking_of_ros  # noqa: PLC0415
     from sal_height.graph.reporting import comparison_table  # noqa: PLC0415
     from sal_height.runs.replay.bag_replay import Against, replay  # noqa: PLC0415
     from sal_height.runs.replay.judge import verdict_of  # noqa: PLC0415
@@ -56,7 +56,7 @@ def replay_and_compare(
     tolerances = read_tolerances(Path(tolerance)) if tolerance else ROUNDING
     against = Against(Path(golden) if golden else None, tolerances)
     values = {name: dict(one) for name, one in (parameters or {}).items()}
-    if find_spec("rclpy") is None:
+    if lacking_of_ros():
         warnings.warn("ROS is not installed here: bags are replayed without nodes, as by --jobs 1.", stacklevel=2)
     done = replay(Path(bag), out, values, against=against)
     if verdict_of(done.compared) == CHANGED:

@@ -66,7 +66,7 @@ ROOMS = (
 """Sub-packages in the order of the data: each imports from those before it in this list only."""
 
 BAG_RUNS = (
-    *("chain.chain_runs", "chain.side_by_side", "replay.by_calls", "campaign.batch"),
+    *("chain.chain_runs", "chain.side_by_side", "chain.recording", "truth.flight_run", "campaign.batch"),
     *("products.adjust", "products.calibrate", "products.movers", "products.passes"),
 )
 """Modules of `runs` that process bags without ROS."""

@@ -17,6 +17,7 @@ from sal_height.commands._options import (
     Estimators,
     Flag,
     GraphOptions,
+    Jobs,
     NodeParameters,
     OutputFolder,
     Place,
@@ -60,6 +61,7 @@ def run(
     out: OutputFolder = None,
     param: NodeParameters = (),
     estimators: Estimators = (),
+    jobs: Jobs | None = None,
 ) -> int:
     """Simulate a flight, process it with the graph of nodes, and compare the heights with the truth.
 
@@ -68,7 +70,8 @@ def run(
     dwell is in doubt. The command ends with a table of the errors of all surfaces
     that each estimator publishes: bias, the sigma that all pixels share, s68 (half
     the width between 16 % and 84 % of the errors), and the percentages within 1 and
-    beyond 5 sigma. With an origin, the map is in UTM.
+    beyond 5 sigma. With an origin, the map is in UTM. Where ROS is not installed,
+    a run processes the dwells without nodes, as with --jobs.
 
     Args:
         scene: Terrain: street, woods, jacksboro_fault, or a DEM as .tif or .npz file. Default: the preset's.
@@ -77,6 +80,7 @@ def run(
         looks: Pixels averaged in range x azimuth, for example 2x2. Default: the preset's.
         origin: Origin of the map on WGS 84, in degrees and m. Default: that of the scene's file, or the preset's.
         processes: Has no effect any more: the nodes of a run share a process.
+        jobs: Process N dwells side by side, without nodes: same heights, but no diagnostics, points and pictures.
         out: Output folder, new or empty. Default: out/PRESET, or the next free of out/PRESET_2, ….
     """
     from sal_height.graph.reporting import RELIEF_MAP, achieved, results_table
@@ -97,7 +101,7 @@ def run(
     if processes:
         complain(["Option --processes has no effect on a run any more: its nodes share a process."])
     folder = output_folder(out, changed.name)
-    result = simulate(changed, seed, folder, node_parameters(param), graph.execution())
+    result = simulate(changed, seed, folder, node_parameters(param), graph.execution(), jobs)
     outcome = result.outcome
     print(results_table(outcome, result.accuracy.statistics))
     if sentence := achieved(result.accuracy.statistics):

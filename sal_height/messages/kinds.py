@@ -236,6 +236,7 @@ OF_TOPICS: Mapping[str, Kind] = {
     topics.SLC: KINDS[Images],
     topics.ODOMETRY: KINDS[PlatformState],
     topics.CALIBRATION: KINDS[StatedCalibration],
+    topics.MAP_ORIGIN: KINDS[PlacedOrigin],
     "/tf_static": KINDS[StaticTransform],
     **AIR_KINDS,
 }

@@ -6,7 +6,7 @@ Nothing here needs ROS. Products are those of nodes, value for value.
 from __future__ import annotations
 
 import bisect
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from itertools import accumulate, islice
@@ -23,29 +23,22 @@ from sal_height.engine.air import AIR_PARAMETERS
 from sal_height.engine.calibrations import StatedCalibration
 from sal_height.engine.chain import Chain, Made
 from sal_height.engine.compression import Compression
-from sal_height.engine.losses import Losses
-from sal_height.engine.registry import STAGES
-from sal_height.engine.results import DwellKey, FileProduct, Loss, Notice, reason_of
+from sal_height.engine.results import DwellKey, Loss, Notice, reason_of
 from sal_height.engine.stage import FOREVER_NS, Stage
 from sal_height.errors import UserError
 from sal_height.graph.catalogue import ADJUSTER, DETECTOR, NodeParameters, consumers, parameters_of
-from sal_height.graph.plan import ALL_PROCESSED, AsFlown
+from sal_height.graph.plan import ALL_PROCESSED, AsFlown, Plan
 from sal_height.messages.kinds import kind_of_topic
 from sal_height.runs.chain.entry import Part, chain_of
 from sal_height.runs.chain.replay_parameters import ReplayPlan, processing_of
-from sal_height.runs.chain.side_by_side import SideBySide
+from sal_height.runs.chain.stage_run import Fed, StageRun
 from sal_height.sensor import Sensor
-from sal_height.stage_files import read_inputs, write_product
 from sal_height.topics import CALIBRATION, ODOMETRY, PHASE_HISTORY, SENSOR_INFO, TF_STATIC
 
 COMPRESSION = "sar_compression"
 
 TAKEN = (ODOMETRY, *AIR_PARAMETERS, PHASE_HISTORY)
 """Topics of a whole replay that are read in the order of the bag."""
-
-Fed = Callable[[str, BagMessage, Sequence[Any] | None], None]
-"""Receives each message of the bag that is fed: its port, the message, and the items that were read from it; None: it
-cannot be decoded, and is left out."""
 
 
 class _Read(NamedTuple):
@@ -84,14 +77,12 @@ def plan(bag: Path, given: NodeParameters, estimators: Collection[str] = (), *, 
     return replace(processing, chain=made_here)
 
 
-class BagRun:
+class BagRun(StageRun):
     """The dwells of a bag, processed by stages that are joined by calls.
 
     Attributes:
         scheme: how the dwells of the bag are processed.
         sensors: sensors that the bag describes, by config_hash.
-        losses: losses so far.
-        files: contents of the files that stages have made so far.
     """
 
     def __init__(
@@ -117,26 +108,20 @@ class BagRun:
         Raises:
             UserError: a value is not allowed, or a file cannot be read.
         """
-        self.scheme = scheme
-        self.losses = Losses()
-        self.files: list[FileProduct] = []
-        self._reader, self._topics = scheme.reader, topics
-        self.sensors, refused = sensors_of(self._reader) if self._has(SENSOR_INFO) else ({}, [])
-        for error in refused:
-            self.losses.note("sensor info", str(error))
         given = settings or {}
-        self.settings = {name: given.get(name, parameters_of(name, scheme.values.get(name, {}))) for name in names}
-        if COMPRESSION in self.settings and self.settings[COMPRESSION].mounting_from_tf and not self._has(TF_STATIC):
+        values = {name: given.get(name, parameters_of(name, scheme.values.get(name, {}))) for name in names}
+        self.scheme = scheme
+        self._reader, self._topics = scheme.reader, topics
+        self._as_flown = as_flown
+        if COMPRESSION in values and values[COMPRESSION].mounting_from_tf and not self._has(TF_STATIC):
             raise UserError(
                 f"Bag {scheme.reader.path} has no topic {TF_STATIC}, from which parameter mounting_from_tf takes the "
                 "place of the sensor; record it with the flight, or set sar_compression.mounting_from_tf to false."
             )
-        self.stages: dict[str, Stage] = {}
-        for name, values in self.settings.items():
-            kind = STAGES[name]
-            self.stages[name] = kind(values, read_inputs(kind, values), name)
-        self._jobs, self._as_flown = jobs, as_flown
-        self._chain: Chain | None = None
+        super().__init__(values, jobs)
+        self.sensors, refused = sensors_of(self._reader) if self._has(SENSOR_INFO) else ({}, [])
+        for error in refused:
+            self.losses.note("sensor info", str(error))
         dwells = sorted(scheme.frames.items(), key=lambda item: item[1].last_ns)
         self._ends_ns = [times.last_ns for _, times in dwells]
         stamps = (dwell.stamp_ns for dwell, _ in reversed(dwells))
@@ -144,24 +129,12 @@ class BagRun:
         self._ended = 0
 
     def results(self, doing: str = "", fed: Fed | None = None) -> Iterator[Made]:
-        """Products that the stages make of the dwells, and their losses, which are counted, too.
-
-        Args:
-            doing: label of a progress bar; empty: no progress bar.
-            fed: callback that receives each item that is fed.
-
-        Raises:
-            UserError: the bag is damaged, or a worker has ended.
-        """
+        """Products that the stages make of the dwells, and their losses, as of `StageRun.results`."""
         with ExitStack() as stack:
-            chain = self._joined(stack)
-            for made in self._fed(chain, doing, fed):
-                if isinstance(made.result, Loss | Notice):
-                    self.losses.add(made.stage.name, made.result)
-                elif isinstance(made.result, FileProduct):
-                    write_product(made.result)
-                    self.files.append(made.result)
-                yield made
+            chain = self.joined(stack)
+            self._state_mountings()
+            self._schedule_changes(chain)
+            yield from self.accounted(self._fed(chain, doing, fed))
 
     @property
     def begin_ns(self) -> int:
@@ -172,20 +145,12 @@ class BagRun:
         """Time at which the last frame of a dwell was recorded, ns."""
         return self.scheme.frames[dwell].last_ns
 
-    def _joined(self, stack: ExitStack) -> Chain:
-        """The chain of the stages, with what happens before dwells."""
-        stages, values = list(self.stages.values()), list(self.settings.values())
-        if self._jobs > 1:
-            chain: Chain = stack.enter_context(SideBySide(stages, values, self._jobs))
-        else:
-            chain = Chain(stages, values)
-        for stage in stages:
-            stage.nothing_before(SENSOR_INFO, 0)  # from here on no time-out counts
+    def _state_mountings(self) -> None:
+        """Have the compression use the mountings of the flight."""
+        for stage in self.stages.values():
             if isinstance(stage, Compression):
                 for sensor, mounting in self.scheme.mountings.items():
                     stage.state_mounting(sensor, mounting)
-        self._schedule_changes(chain)
-        return chain
 
     def _schedule_changes(self, chain: Chain) -> None:
         """Schedule settings and calibrations of the flight, each from its dwell on, and dwells to be left out."""
@@ -229,10 +194,9 @@ class BagRun:
         return found
 
     def _fed(self, chain: Chain, doing: str, fed: Fed | None) -> Iterator[Made]:
-        yield from chain.start(self._reader.begin_ns)
         if fed:
-            for recorded in self._messages([SENSOR_INFO]):
-                fed(SENSOR_INFO, recorded, None if self._read(SENSOR_INFO, recorded).is_broken else ())
+            self._pass_latched(fed)
+        yield from chain.start(self._reader.begin_ns)
         for sensor in self.sensors.values():
             yield from chain.feed(SENSOR_INFO, sensor)
         for recorded in self._messages([TF_STATIC]):
@@ -251,6 +215,13 @@ class BagRun:
             yield from self._feed(chain, recorded.topic.lstrip("/"), recorded, fed)
         yield from self._announced(chain, FOREVER_NS)
         yield from chain.finish()
+
+    def _pass_latched(self, fed: Fed) -> None:
+        """Pass on the calibrations that were applied, and the descriptions of sensors."""
+        for _, recorded in self.calibrations().values():
+            fed(CALIBRATION, recorded, ())
+        for recorded in self._messages([SENSOR_INFO]):
+            fed(SENSOR_INFO, recorded, None if self._read(SENSOR_INFO, recorded).is_broken else ())
 
     def _feed(self, chain: Chain, port: str, recorded: BagMessage, fed: Fed | None) -> Iterator[Made]:
         """Feed a message of the bag; one that cannot be used is counted, as a node counts it."""
@@ -304,6 +275,17 @@ class BagRun:
 def _topic_of(port: str) -> str:
     """The topic of a port, in the names of the reader."""
     return f"/{port.lstrip('/')}"
+
+
+def run_of(plan: Plan, processing: ReplayPlan, jobs: int) -> BagRun:
+    """The dwells of a bag as a replay processes them without nodes.
+
+    Raises:
+        UserError: a value is not allowed, or a file cannot be read.
+    """
+    topics = [topic for topic in plan.played if topic != SENSOR_INFO]
+    scheme = replace(processing, values=plan.parameters)
+    return BagRun(scheme, plan.stages, topics=topics, jobs=jobs, as_flown=plan.as_flown)
 
 
 def only_sensor(run: BagRun) -> Sensor:

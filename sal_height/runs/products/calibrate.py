@@ -20,9 +20,9 @@ from sal_height.graph.plan import DEFAULT, Execution, Outcome, Plan
 from sal_height.graph.reporting import PARAMETERS, conclude, merged, reporting
 from sal_height.io import new_folder, or_null, writing
 from sal_height.numeric import C128, F64, Bool
-from sal_height.runs.chain.chain_runs import COMPRESSION, TAKEN, plan
+from sal_height.runs.chain.chain_runs import COMPRESSION, TAKEN, plan, run_of
 from sal_height.runs.chain.entry import Part, contents
-from sal_height.runs.replay.by_calls import perform_by_calls
+from sal_height.runs.chain.recording import perform_by_calls
 from sal_height.tables import aligned, number_text
 from sal_height.topics import LOSSES, SENSOR_INFO
 
@@ -79,7 +79,7 @@ def calibrate(
             {PARAMETERS: json.dumps(values)},
             [SENSOR_INFO, *TAKEN],
         )
-        outcome = perform_by_calls(asked, scheme, execution, jobs)
+        outcome = perform_by_calls(asked, execution, run_of(asked, scheme, jobs))
         conclude(outcome, values, report)
         path = Path(values[CALIBRATOR]["file"])
         if outcome.interrupted:

@@ -25,8 +25,10 @@ from sal_height.io import new_folder, or_null, writing
 from sal_height.messages import AIR, AIR_TYPES
 from sal_height.response import measure_brightest
 from sal_height.runs.chain.as_flown import NOT_MADE, repeated_losses
+from sal_height.runs.chain.chain_runs import run_of
 from sal_height.runs.chain.entry import FROM_HEIGHTS, MAPPER, WHOLE, Part, chain_of
 from sal_height.runs.chain.recorded_images import recorded_slc
+from sal_height.runs.chain.recording import jobs_without_ros, perform_by_calls
 from sal_height.runs.chain.replay_parameters import ReplayPlan, processing_of
 from sal_height.runs.replay.judge import as_json, draw_worst_dwell
 from sal_height.runs.truth.report import read_accuracy, recorded_flight
@@ -402,17 +404,7 @@ def _perform(plan: Plan, execution: Execution, processing: ReplayPlan, jobs: int
         from sal_height.graph.lockstep import perform  # noqa: PLC0415 (needs ROS)
 
         return perform(plan, execution)
-    from sal_height.runs.replay.by_calls import perform_by_calls  # noqa: PLC0415 (not needed by nodes)
-
-    return perform_by_calls(plan, processing, execution, jobs)
-
-
-def jobs_without_ros(asked: int | None) -> int | None:
-    """Jobs of a replay: as requested; 1 with a message if nodes are requested and ROS is not installed."""
-    if asked is None and find_spec("rclpy") is None:
-        _LOG.warning("ROS is not installed here: the dwells are processed without nodes, as with --jobs 1.")
-        return 1
-    return asked
+    return perform_by_calls(plan, execution, run_of(plan, processing, jobs))
 
 
 def _measure_images(folder: Path) -> list[dict[str, Any]]:

@@ -11,6 +11,7 @@ from typing import Any
 
 import yaml
 
+from sal_height.engine.compression import SENSOR
 from sal_height.engine.registry import STAGES, takes_images
 from sal_height.engine.track import ACCURACY
 from sal_height.errors import UserError
@@ -22,16 +23,18 @@ from sal_height.graph.catalogue import (
     check_parameters,
     consumers,
     height_sources,
+    parameters_of,
     placed,
     recorded_topics,
     suited,
 )
-from sal_height.graph.lockstep import perform
 from sal_height.graph.plan import DEFAULT, Execution, Outcome, Plan
 from sal_height.graph.reporting import PARAMETERS, PRESET, RELIEF_MAP, SEED, conclude, merged, reporting
 from sal_height.imaging import STANDARD_AIR, VACUUM
 from sal_height.io import new_folder, write_text, writing
 from sal_height.messages import AIR
+from sal_height.runs.chain.recording import jobs_without_ros, perform_by_calls
+from sal_height.runs.truth.flight_run import FlightRun
 from sal_height.runs.truth.report import Accuracy, read_accuracy, read_images
 from sal_height.simulation import Preset, SimulatedFlight, flight_of
 from sal_height.topics import MAP_ORIGIN
@@ -57,18 +60,32 @@ class Flown:
     source: str
 
 
-def run(preset: Preset, seed: int, out: Path, parameters: NodeParameters, execution: Execution = DEFAULT) -> Flown:
+def run(
+    preset: Preset,
+    seed: int,
+    out: Path,
+    parameters: NodeParameters,
+    execution: Execution = DEFAULT,
+    jobs: int | None = None,
+) -> Flown:
     """Do what `fly` does, and leave pictures with it in `out`; without any valid height there are no pictures.
 
     Raises:
         UserError: errors of `fly`, or a picture cannot be written.
     """
-    flown = fly(preset, seed, out, parameters, execution)
+    flown = fly(preset, seed, out, parameters, execution, jobs)
     _draw(flown, preset, out)
     return flown
 
 
-def fly(preset: Preset, seed: int, out: Path, parameters: NodeParameters, execution: Execution = DEFAULT) -> Flown:
+def fly(
+    preset: Preset,
+    seed: int,
+    out: Path,
+    parameters: NodeParameters,
+    execution: Execution = DEFAULT,
+    jobs: int | None = None,
+) -> Flown:
     """Simulate and process all dwells of `preset`; leaves a bag, report, map and preset.yaml in `out`.
 
     Without any valid height there is no map. The map (relief_map.tif) needs the package rasterio.
@@ -79,6 +96,8 @@ def fly(preset: Preset, seed: int, out: Path, parameters: NodeParameters, execut
         out: output folder; must be new or empty.
         parameters: values that replace parameters of nodes that follow from the preset.
         execution: execution of the run.
+        jobs: dwells that are processed side by side without nodes; None: nodes process them one after the other,
+            where ROS is installed.
 
     Raises:
         UserError: a parameter is not allowed, the flight leaves its scene, or the run failed.
@@ -89,6 +108,7 @@ def fly(preset: Preset, seed: int, out: Path, parameters: NodeParameters, execut
     air = list(AIR) if preset.impairments.air else []
     check_air(parameters, [flight.sensor], air, "A simulated flight without air (impairments)")
     flight.surface(0)  # refuses a flight outside the scene before anything is started
+    jobs = jobs_without_ros(jobs)
     folder = new_folder(out)
     settings = folder / "preset.yaml"
     values = merged(parameters_of_flight(flight, estimators), parameters)
@@ -102,15 +122,29 @@ def fly(preset: Preset, seed: int, out: Path, parameters: NodeParameters, execut
         write_text(settings, yaml.safe_dump(json.loads(flown), sort_keys=False))
         custom_data = {PARAMETERS: json.dumps(values), PRESET: flown, SEED: str(seed)}
         nodes = merged({"simulator": simulator, "relief_mapper": relief}, values)
-        topics = recorded_topics(stages, values)
-        topics += [*air, *([MAP_ORIGIN] if flight.scene.origin else [])]
-        plan = Plan("simulator", stages, topics, bag, nodes, preset.dwells, custom_data, simulated_time=True)
-        outcome = perform(plan, execution)
+        published = [*SENSOR, *air, *([MAP_ORIGIN] if flight.scene.origin else [])]
+        topics = recorded_topics(stages, values, published)
+        plan = Plan("simulator", stages, topics, bag, nodes, preset.dwells, custom_data, published, simulated_time=True)
+        outcome = _perform(plan, execution, flight, jobs)
         conclude(outcome, values, report)
         report["relief_map"] = RELIEF_MAP if (folder / RELIEF_MAP).is_file() else None
         accuracy = read_accuracy(bag, flight, stages)
         report["estimators"] = accuracy.statistics
     return Flown(flight, outcome, accuracy, height_sources(stages, values)[TRACKER].removesuffix("/height"))
+
+
+def _perform(plan: Plan, execution: Execution, flight: SimulatedFlight, jobs: int | None) -> Outcome:
+    """Process the dwells by nodes, or without them.
+
+    Raises:
+        UserError: the run has failed.
+    """
+    if jobs is None:
+        from sal_height.graph.lockstep import perform  # noqa: PLC0415 (needs ROS)
+
+        return perform(plan, execution)
+    settings = {name: parameters_of(name, plan.parameters.get(name, {})) for name in plan.stages}
+    return perform_by_calls(plan, execution, FlightRun(flight, START_NS, settings, jobs))
 
 
 def parameters_of_flight(flight: SimulatedFlight, estimators: list[str]) -> dict[str, dict[str, Any]]:

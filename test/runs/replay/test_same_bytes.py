@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 from collections import defaultdict
 from pathlib import Path
 from typing import Any
@@ -79,13 +80,30 @@ def test_a_reset_in_flight_is_repeated(two_dwells: Preset, tmp_path: Path, monke
 
 
 def test_runs_are_equal_byte_for_byte(two_dwells: Preset, tmp_path: Path) -> None:
-    """The stamps are those of the flight, and each message is recorded when its dwell has ended."""
-    for name in "ab":
-        fly(two_dwells, 1, tmp_path / name, {}, Execution(record=[SLC]))
-    one, other = (raw(tmp_path / name / "bag") for name in "ab")
+    """By nodes and by calls; stamps are those of the flight, and messages of a dwell are recorded when it has ended."""
+    for name, jobs in (("a", None), ("b", None), ("calls", 1), ("side_by_side", 2)):
+        fly(two_dwells, 1, tmp_path / name, {}, Execution(record=[SLC]), jobs)
+    one, other, calls, side_by_side = (raw(tmp_path / name / "bag") for name in ("a", "b", "calls", "side_by_side"))
     assert {"/slc", "/phase_history", "/platform/odometry", "/tracked/height"} <= one.keys()
-    assert differing(one, other) == []
+    assert differing(one, other) == differing(one, calls) == differing(one, side_by_side) == []
     ends = [START_NS + flight_of(two_dwells, 1).dwell_end_ns(dwell) for dwell in range(2)]
     assert [message.log_time_ns for message in one["/tracked/height"]] == ends
     assert {message.log_time_ns for message in one["/phase_history"]} == {*ends}
     assert {message.log_time_ns for message in one["/sensor_info"]} == {START_NS}
+    by_nodes, by_calls = (report_of(tmp_path / name) for name in ("a", "calls"))
+    assert by_nodes == by_calls
+    account = by_nodes["stages"]["ml_height"]
+    assert (account["in"], account["processed"], account["published"]) == (16, 16, {"ml/height": 2})
+
+
+def report_of(folder: Path) -> dict[str, Any]:
+    """The report of a run without its times, topics without messages, and the accounts of simulator and mapper.
+
+    Nodes count a picture of the map, and dwells of the simulator as received.
+    """
+    report = json.loads((folder / "report.json").read_text(encoding="utf-8"))
+    del report["elapsed_s"], report["stages"]["simulator"], report["stages"]["relief_mapper"]
+    for stage in report["stages"].values():
+        del stage["latency_p50_ms"], stage["latency_p95_ms"]
+        stage["published"] = {topic: count for topic, count in stage["published"].items() if count}
+    return report

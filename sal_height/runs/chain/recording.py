@@ -1,4 +1,4 @@
-"""Replays without ROS: the stages are joined by calls, and what nodes would publish is written to the new bag."""
+"""Runs without nodes: the stages are joined by calls, and what nodes would publish is written to the new bag."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import time
 from collections import Counter
 from collections.abc import Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 from sal_height.bag import qos
@@ -20,13 +20,13 @@ from sal_height.engine.image_items import count_messages
 from sal_height.engine.results import DwellKey, Event, Loss, Notice, Product
 from sal_height.engine.stage import Port
 from sal_height.errors import UserError
+from sal_height.extras import lacking_of_ros
 from sal_height.graph.plan import UNCOUNTED, Execution, Outcome, Plan
 from sal_height.messages.accounts import loss_to_message
 from sal_height.messages.codec import SHIPPED
 from sal_height.messages.kinds import kind_of, kind_of_topic
 from sal_height.nodes.accounts.account import Account
-from sal_height.runs.chain.chain_runs import BagRun
-from sal_height.runs.chain.replay_parameters import ReplayPlan
+from sal_height.runs.chain.stage_run import StageRun
 from sal_height.topics import CALIBRATION, LOSSES, ODOMETRY, SENSOR_INFO
 from sal_height.workers.processes import Interruption
 
@@ -35,11 +35,11 @@ _LOG = logging.getLogger(__name__)
 LOSS_TYPE = "sal_height_msgs/msg/DwellLoss"
 
 
-def perform_by_calls(plan: Plan, processing: ReplayPlan, execution: Execution, jobs: int) -> Outcome:
-    """Process the dwells of a bag by calls, and write inputs and products to a new one.
+def perform_by_calls(plan: Plan, execution: Execution, run: StageRun) -> Outcome:
+    """Process dwells by calls, and write inputs and products to a new bag.
 
     Raises:
-        UserError: a parameter is not allowed, or no stage makes a topic that is to be recorded.
+        UserError: no stage makes a topic that is to be recorded, or the bag cannot be made.
     """
     also = [topic.removeprefix("/") for topic in execution.record]
     wanted = [topic for topic in dict.fromkeys([*plan.recorded, *also]) if topic not in UNCOUNTED]
@@ -47,15 +47,10 @@ def perform_by_calls(plan: Plan, processing: ReplayPlan, execution: Execution, j
     interrupted = False
     began = time.monotonic()
     with ExitStack() as stack:
-        scheme = replace(processing, values=plan.parameters)
-        topics = [topic for topic in plan.played if topic != SENSOR_INFO]
-        run = BagRun(scheme, plan.stages, topics=topics, jobs=jobs, as_flown=plan.as_flown)
         interruption = stack.enter_context(Interruption())
         recording = _Recording(run, plan, wanted)
         stack.callback(recording.bag.close)
         try:
-            for _, message in run.calibrations().values():
-                recording.take(CALIBRATION, message, ())
             for made in run.results(plan.bag.parent.name, recording.take):
                 interruption.check()
                 recording.enter(made)
@@ -67,6 +62,14 @@ def perform_by_calls(plan: Plan, processing: ReplayPlan, execution: Execution, j
             failure = UserError(f"Bag {plan.bag} cannot be written: {error.strerror}; make room on its disk.")
     accounts = recording.accounts()
     return Outcome(accounts, accounts[plan.source].dwells, interrupted, failure, time.monotonic() - began)
+
+
+def jobs_without_ros(asked: int | None) -> int | None:
+    """Jobs of a run: as requested; 1 with a message if nodes are requested and what they need is not installed."""
+    if asked is None and (lacking := lacking_of_ros()):
+        _LOG.warning("Module %s is not installed: the dwells are processed without nodes, as with --jobs 1.", lacking)
+        return 1
+    return asked
 
 
 @dataclass
@@ -98,7 +101,7 @@ class _Counts:
 class _Recording:
     """Writes the new bag and counts as nodes do."""
 
-    def __init__(self, run: BagRun, plan: Plan, wanted: Sequence[str]) -> None:
+    def __init__(self, run: StageRun, plan: Plan, wanted: Sequence[str]) -> None:
         """Start the bag.
 
         Raises:
@@ -107,7 +110,8 @@ class _Recording:
         self._run, self._plan = run, plan
         self._now_ns = run.begin_ns
         self._counts = {name: _Counts() for name in (plan.source, *plan.stages)}
-        self._dwells: set[DwellKey] = set()
+        self._times_ns: dict[DwellKey, int] = {}
+        """Time at which the last frame or image of a dwell was fed, ns; products of the dwell have the same."""
         self._consumers: dict[str, list[str]] = {}
         self._ports: dict[str, Port] = {}
         types: dict[str, tuple[str, Qos]] = {LOSSES: (LOSS_TYPE, qos.FRAMES)}
@@ -139,11 +143,11 @@ class _Recording:
             self._counts[self._plan.source].ignored[f"broken {recorded.topic}"] += 1
             _LOG.warning("%s: ignored a message on %s that cannot be decoded.", self._plan.source, recorded.topic)
             return
-        self._write(port, [recorded.cdr])
+        self._write(port, [recorded.cdr], self._now_ns)
         self._counts[self._plan.source].published[port] += 1
         for item in items:
             if key := getattr(item, "key", None):
-                self._dwells.add(key)
+                self._times_ns[key] = self._now_ns
         self._count_received(port, max(1, len(items)))
 
     def enter(self, made: Made) -> None:
@@ -155,7 +159,9 @@ class _Recording:
             self._count_received(result.port, count)
             if result.port in self._names:
                 settings = self._run.settings[made.stage.name]
-                self._write(result.port, kind_of(self._ports[result.port]).write(result.item, settings))
+                serialized = kind_of(self._ports[result.port]).write(result.item, settings)
+                time_ns = self._times_ns.get(made.dwell, self._now_ns) if made.dwell else self._now_ns
+                self._write(result.port, serialized, time_ns)
         elif isinstance(result, Loss):
             counts.dropped[result.reason] += result.messages
             counts.last_drop = result.sentence
@@ -175,19 +181,19 @@ class _Recording:
         """The account of the source and of every stage."""
         source = self._plan.source
         others = {name: counts.account() for name, counts in self._counts.items() if name != source}
-        return {source: self._counts[source].account(len(self._dwells)), **others}
+        return {source: self._counts[source].account(len(self._times_ns)), **others}
 
     def _count_received(self, port: str, messages: int) -> None:
         for name in self._consumers.get(port, ()):
             self._counts[name].received += messages
 
     def _write_loss(self, stage: str, loss: Loss) -> None:
-        self._write(LOSSES, [SHIPPED.serialize(loss_to_message(f"/{stage}", loss, self._now_ns))])
+        self._write(LOSSES, [SHIPPED.serialize(loss_to_message(f"/{stage}", loss, self._now_ns))], self._now_ns)
 
-    def _write(self, port: str, serialized: Sequence[bytes]) -> None:
+    def _write(self, port: str, serialized: Sequence[bytes], time_ns: int) -> None:
         if port in self._names:
             for cdr in serialized:
-                self.bag.write(self._names[port], cdr, self._now_ns, self._now_ns)
+                self.bag.write(self._names[port], cdr, time_ns, time_ns)
 
 
 def _qos_of(topic: str, *, latched: bool) -> Qos:

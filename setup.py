@@ -45,7 +45,15 @@ setup(
     python_requires=">=3.11,<3.14",
     packages=find_packages(include=["sal_height", "sal_height.*"]),
     package_data={
-        "sal_height": ["presets/*.yaml", "presets/*.csv", "config/*", "launch/*", "messages/*.json", "messages/*.pyi"]
+        "sal_height": [
+            "presets/*.yaml",
+            "presets/*.csv",
+            "config/*",
+            "launch/*",
+            "messages/*.json",
+            "messages/*.pyi",
+            "py.typed",
+        ]
     },
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/sal_height"]),

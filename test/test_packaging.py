@@ -155,6 +155,7 @@ def test_a_wheel_holds_all_that_programs_and_ros_read(tmp_path: Path) -> None:
     package = ROOT / "sal_height"
     read = [path for name in ("config", "launch", "presets") for path in (package / name).iterdir()]
     assert {str(path.relative_to(ROOT)) for path in [*read, package / "messages" / "definitions.json"]} <= held
+    assert {"sal_height/py.typed", "sal_height/messages/types.pyi"} <= held
     shared = [path for path in read if path.parent.name != "presets"]
     assert {f"share/{path.relative_to(ROOT)}" for path in shared} <= held
 

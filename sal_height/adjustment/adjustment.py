@@ -34,11 +34,11 @@ from sal_height.adjustment.known_ground import UNKNOWN_GROUND, References
 from sal_height.adjustment.network import Comparison, Network
 from sal_height.adjustment.observed import COMMON, GROUND, ObservedDwell, Unknowns
 from sal_height.geometry import Mounting
-from sal_height.numeric import F64, in_threads
+from sal_height.numeric import F64, ShortRepr, in_threads
 
 
 @dataclass(frozen=True, eq=False)
-class Adjustment:
+class Adjustment(ShortRepr):
     """Navigation and mounting that fit best.
 
     Attributes:

@@ -21,7 +21,7 @@ from scipy.linalg import block_diag
 
 from sal_height.adjustment.equations import Equation
 from sal_height.geometry import ApertureState, Mounting, Trajectory
-from sal_height.numeric import F64, Index
+from sal_height.numeric import F64, Index, ShortRepr
 
 STATE = 9
 """Numbers of a knot: errors of position (m), velocity (m/s) and attitude (rad), each about or along east, north, up."""
@@ -31,7 +31,7 @@ EXACT_M, EXACT_MPS, EXACT_RAD = 1e-4, 1e-6, 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class Stated:
+class Stated(ShortRepr):
     """Errors that odometry states at a time.
 
     Attributes:
@@ -46,7 +46,7 @@ class Stated:
 
 
 @dataclass(frozen=True, eq=False)
-class PulseTrack:
+class PulseTrack(ShortRepr):
     """Times of the pulses of a dwell, or of a block of a strip, and the track of the platform by odometry.
 
     Attributes:

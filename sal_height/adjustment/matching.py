@@ -34,7 +34,7 @@ from scipy.special import logsumexp
 from sal_height.adjustment._kernels import average_over_shifts, compare_shifts, sum_over_points
 from sal_height.elevation import USABLE
 from sal_height.geometry import sphere_coordinates
-from sal_height.numeric import F64, Bool, Index
+from sal_height.numeric import F64, Bool, Index, ShortRepr
 from sal_height.relief import HeightField
 
 OUTLIERS = 0.2
@@ -64,7 +64,7 @@ REFERENCE = -1
 
 
 @dataclass(frozen=True, eq=False)
-class Points:
+class Points(ShortRepr):
     """The surfaces of one or more dwells as points.
 
     Attributes:

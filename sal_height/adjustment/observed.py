@@ -34,7 +34,7 @@ from sal_height.adjustment.matching import LEAST_POINTS, Points
 from sal_height.errors import Rejected
 from sal_height.geometry import ApertureState, Mounting, Trajectory, angles_of, shift_along, sphere_point
 from sal_height.imaging import Placement, Slc
-from sal_height.numeric import F64, Index
+from sal_height.numeric import F64, Index, ShortRepr
 from sal_height.relief import HeightField, position_jacobian, turn_jacobian
 from sal_height.sensor import PhaseHistory, Sensor
 
@@ -72,7 +72,7 @@ def placement_in_strip(placement: Placement, *, phase_removed: bool) -> Placemen
 
 
 @dataclass(frozen=True, eq=False)
-class ObservedDwell:
+class ObservedDwell(ShortRepr):
     """A height image, and the geometry that it was made with.
 
     Attributes:

@@ -30,14 +30,14 @@ from sal_height.adjustment.known_ground import UNKNOWN_GROUND, References
 from sal_height.adjustment.network import Comparison, Network
 from sal_height.adjustment.observed import STRETCH, ObservedDwell
 from sal_height.geometry import Mounting
-from sal_height.numeric import F64
+from sal_height.numeric import F64, ShortRepr
 
 MOST_POINTS = 5_000_000
 """Points of all dwells that are kept, 1 GB: with the surfaces between them each takes 200 bytes."""
 
 
 @dataclass(frozen=True, eq=False)
-class PoseError:
+class PoseError(ShortRepr):
     """Error of the pose from which a dwell is seen.
 
     Attributes:

@@ -15,11 +15,11 @@ from sal_height.beams.pattern import Pattern
 from sal_height.beams.pupil import aberrated_pattern
 from sal_height.errors import UserError
 from sal_height.geometry import ApertureState, Grid, aperture_at, squint_on_cone
-from sal_height.numeric import C128, F64, Index
+from sal_height.numeric import C128, F64, Index, ShortRepr
 
 
 @dataclass(frozen=True, eq=False)
-class Beams:
+class Beams(ShortRepr):
     """The receive beams of a detector array.
 
     Detectors lie on an axis through the middle of the array that is turned by `rotation` (SAL paper, figure 8). A

@@ -50,7 +50,7 @@ from sal_height.elevation import (
     search_guard,
 )
 from sal_height.errors import NotDetermined
-from sal_height.numeric import C64, C128, F64, Index
+from sal_height.numeric import C64, C128, F64, Index, ShortRepr
 
 DIFFERENCE = 1e-3  # half step of differences, in beamwidths and relative widths: derivatives are right within 1e-5
 
@@ -215,7 +215,7 @@ def _without(vector: C128, unit: C128) -> C128:
 
 
 @dataclass(frozen=True, eq=False)
-class BeamCalibration:
+class BeamCalibration(ShortRepr):
     """Corrections of the description of the beams, with standard deviations.
 
     Attributes:

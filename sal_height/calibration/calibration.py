@@ -12,14 +12,14 @@ import numpy as np
 from sal_height.beams import ZERNIKE, Beams
 from sal_height.elevation import MISFIT_FRACTION
 from sal_height.errors import UserError
-from sal_height.numeric import C64, C128, F64, window
+from sal_height.numeric import C64, C128, F64, ShortRepr, window
 from sal_height.response import PointTargetSettings
 from sal_height.sensor import KNOWN_BEAMS, MAX_SHARE, BeamErrors, PhaseHistory, Sensor
 from sal_height.settings import setting
 
 
 @dataclass(frozen=True, eq=False)
-class Calibration:
+class Calibration(ShortRepr):
     """Measured responses of receivers and beams of a sensor, relative to its description.
 
     Attributes:

@@ -10,25 +10,17 @@ from typing import Any
 import numpy as np
 
 import sal_height
-from sal_height.elevation import Validity
 from sal_height.errors import UserError
 from sal_height.exports.heights import DwellHeights, RecordedHeights
 from sal_height.extras import import_extra
-from sal_height.geometry import Origin, Projection
+from sal_height.geometry import Origin
 from sal_height.io import check_new_folder, unfinished, writing
+from sal_height.relief import LAYERS, labelled_heights
 
 CONVENTIONS = "CF-1.11"
 
 BATCH = 64
 """Number of dwells in memory at a time while files are written."""
-
-LAYERS = {
-    "height": ("m", "height of the surface"),
-    "sigma": ("m", "standard deviation of height"),
-    "cnr_db": ("dB", "carrier-to-noise ratio of one look"),
-    "spread": ("m", "standard deviation of the surface's heights within the pixel"),
-}
-"""Fields of a surface that become variables: unit and description."""
 
 
 def open_heights(bag: Path | str, topic: str = "", *, origin: Origin | None = None, crs: str = "utm") -> Any:
@@ -130,40 +122,14 @@ def _batches(heights: RecordedHeights, task: str) -> Iterator[Any]:
 def _dataset_of(heights: RecordedHeights, dwells: list[DwellHeights]) -> Any:
     """The dataset of some dwells."""
     xarray = _xarray(heights)
-    pixel, scatterer = ("dwell", "row", "col"), ("dwell", "surface", "row", "col")
-    positions = np.stack([[surface.positions for surface in one.field.surfaces] for one in dwells])
-    coordinates = np.full(positions.shape, np.nan)
-    there = np.isfinite(positions).all(axis=-1)
-    coordinates[there] = heights.coordinates(positions[there])
-    layers: dict[str, Any] = {
-        name: (
-            scatterer,
-            np.stack([[getattr(surface, name) for surface in one.field.surfaces] for one in dwells]).astype(np.float32),
-            {"units": unit, "long_name": text},
-        )
-        for name, (unit, text) in LAYERS.items()
-    }
-    # Single precision has 60 um of 1000 m.
-    layers["height"] = (scatterer, coordinates[..., 2].astype(np.float32), _height_attributes(heights.projection))
-    layers["validity"] = (pixel, np.stack([one.field.validity for one in dwells]), _flags())
-    if dwells[0].field.order_probability is not None:
-        known = [np.asarray(one.field.order_probability, dtype=np.float32) for one in dwells]
-        text = "probability of 0, 1, 2 and 3 scatterers, and of one extended surface"
-        layers["order_probability"] = ((*pixel, "order"), np.stack(known), {"units": "1", "long_name": text})
+    layers, places = labelled_heights([one.field for one in dwells], heights.projection)
     if heights.projection is not None:
         layers["crs"] = ((), np.int32(0), heights.projection.system.to_cf())
         for name in LAYERS:
             layers[name][2]["grid_mapping"] = "crs"
-    names = ("easting", "northing") if heights.projection is not None else ("distance east", "distance north")
-    standard = ("projection_x_coordinate", "projection_y_coordinate")
-    places = {
-        axis: (scatterer, coordinates[..., number], _place_attributes(names[number], standard[number], heights))
-        for number, axis in enumerate(("x", "y"))
-    }
     stamps = np.array([one.stamp_ns for one in dwells], dtype="datetime64[ns]")
     axes = {
         "dwell": ("dwell", np.array([one.dwell for one in dwells], np.uint32), {"long_name": "number of the dwell"}),
-        "surface": ("surface", np.arange(1, positions.shape[1] + 1), {"long_name": "surface, strongest first"}),
         "time": ("dwell", stamps, {"standard_name": "time", "long_name": "first pulse of the dwell"}),
     }
     attributes = {
@@ -173,30 +139,6 @@ def _dataset_of(heights: RecordedHeights, dwells: list[DwellHeights]) -> Any:
         **heights.facts,
     }
     return xarray.Dataset(layers, {**axes, **places}, attributes)
-
-
-def _height_attributes(projection: Projection | None) -> dict[str, Any]:
-    attributes: dict[str, Any] = {"units": "m", "long_name": LAYERS["height"][1]}
-    if projection is None:
-        attributes["comment"] = "above the sphere of 6371008.8 m that touches the origin of the map"
-    elif projection.has_geoid:
-        attributes["standard_name"] = "height_above_geopotential_datum"
-    else:
-        attributes["standard_name"] = "height_above_reference_ellipsoid"
-    return attributes
-
-
-def _place_attributes(name: str, standard_name: str, heights: RecordedHeights) -> dict[str, str]:
-    attributes = {"units": "m", "long_name": name}
-    return attributes | ({"standard_name": standard_name} if heights.projection is not None else {})
-
-
-def _flags() -> dict[str, Any]:
-    return {
-        "long_name": "whether a pixel has heights, or why not",
-        "flag_values": np.array([one.value for one in Validity], np.uint8),
-        "flag_meanings": " ".join(one.name.lower() for one in Validity),
-    }
 
 
 def _xarray(heights: RecordedHeights) -> Any:

@@ -20,10 +20,18 @@ from sal_height.bag.reader import BagReader
 from sal_height.bag.topics import HEIGHT_TYPE
 from sal_height.elevation import ORDERS, Validity, scatterer_count
 from sal_height.errors import UserError
-from sal_height.geometry import UTM, ApertureState, Origin, Projection, sphere_coordinates
+from sal_height.geometry import UTM, ApertureState, Origin, Projection
 from sal_height.graph.catalogue import MAPPERS
 from sal_height.numeric import F64
-from sal_height.relief import HeightField, ProjectedAxes, ReliefMap, check_geotiff, fitting_cell_size, write_geotiff
+from sal_height.relief import (
+    HeightField,
+    ProjectedAxes,
+    ReliefMap,
+    check_geotiff,
+    fitting_cell_size,
+    map_coordinates,
+    write_geotiff,
+)
 from sal_height.runs.chain.recorded_parameters import recorded_parameters
 
 _LOG = logging.getLogger(__name__)
@@ -115,9 +123,7 @@ class RecordedHeights:
         They are easting, northing and height in the projection; without one, distances east and north along the sphere
         and the height above it, as in a local map.
         """
-        if self.projection is None:
-            return np.stack(sphere_coordinates(positions), axis=-1)
-        return self.projection.coordinates(positions)
+        return map_coordinates(positions, self.projection)
 
     @property
     def facts(self) -> dict[str, str]:

@@ -16,11 +16,11 @@ from scipy.spatial.transform import Rotation
 
 from sal_height.errors import UserError
 from sal_height.geometry.accuracy import is_finite_covariance
-from sal_height.numeric import F64
+from sal_height.numeric import F64, ShortRepr
 
 
 @dataclass(frozen=True, eq=False)
-class ApertureState:
+class ApertureState(ShortRepr):
     """State of the sensor in the middle of a synthetic aperture; "body" axes are those of the sensor frame.
 
     Attributes:

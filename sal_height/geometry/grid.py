@@ -9,11 +9,11 @@ import numpy as np
 import numpy.typing as npt
 
 from sal_height.geometry.frames import ApertureState
-from sal_height.numeric import F64, Complex, arrays_of, joined_bytes
+from sal_height.numeric import F64, Complex, ShortRepr, arrays_of, joined_bytes
 
 
 @dataclass(frozen=True, eq=False)
-class Grid:
+class Grid(ShortRepr):
     """Pixel centres of an image in a plane of the map frame; the same content as sal_height_msgs/ImageGrid.
 
     Attributes:
@@ -43,6 +43,11 @@ class Grid:
     def shape(self) -> tuple[int, int]:
         """(rows, cols)."""
         return self.rows, self.cols
+
+    @property
+    def extent(self) -> tuple[float, float, float, float]:
+        """Edges of the image in its plane from the outer corner of pixel (0, 0), m: first and last column, and row."""
+        return 0.0, self.cols * self.col_spacing, 0.0, self.rows * self.row_spacing
 
     @property
     def col_step(self) -> F64:

@@ -25,7 +25,7 @@ from sal_height.geometry.accuracy import (
 from sal_height.geometry.earth import EARTH_RADIUS
 from sal_height.geometry.frames import AT_BASE_LINK, ApertureState, Mounting, antennas_of
 from sal_height.geometry.motion import STEADY, Motion, attitude_between, rotation_matrix
-from sal_height.numeric import F64, arrays_of, in_parallel, joined_bytes
+from sal_height.numeric import F64, ShortRepr, arrays_of, in_parallel, joined_bytes
 
 
 def locate_at_elevation(
@@ -100,7 +100,7 @@ def _located(
 
 
 @dataclass(frozen=True, eq=False)
-class PlatformState:
+class PlatformState(ShortRepr):
     """One odometry sample.
 
     Attributes:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from sal_height.doubts import Doubt
 from sal_height.elevation import AxisResponse, CellResponse
 from sal_height.errors import Rejected, UserError
+from sal_height.extras import import_extra
 from sal_height.geometry import ApertureState, Grid, Trajectory
 from sal_height.imaging.air import MEASUREMENTS
 from sal_height.imaging.autofocus.gradient import (
@@ -43,7 +45,7 @@ from sal_height.imaging.pixels import (
     slant_plane_size,
     slc_noise_power,
 )
-from sal_height.numeric import C64, F64, WINDOWS, broadening
+from sal_height.numeric import C64, F64, WINDOWS, ShortRepr, broadening, draw_array
 from sal_height.sensor import PhaseHistory, Sensor
 from sal_height.settings import setting
 
@@ -101,7 +103,7 @@ class ImageSettings(AutofocusSettings, CorrectionSettings):
 
 
 @dataclass(frozen=True, eq=False)
-class Slc:
+class Slc(ShortRepr):
     """Single-look complex images of all detectors.
 
     Attributes:
@@ -130,6 +132,35 @@ class Slc:
     doubts: tuple[Doubt, ...] = ()
     placement: Placement = AS_NAVIGATED
     residual_phase: float = 0.0
+
+    def to_xarray(self) -> Any:
+        """The images as an xarray.DataArray with the dimensions channel, row and col, and positions in map.
+
+        Raises:
+            UserError: xarray is not installed.
+        """
+        xarray = import_extra("xarray", "Making labelled arrays")
+        position = dict(zip(("x", "y", "z"), np.moveaxis(self.grid.pixels(), -1, 0), strict=True))
+        coordinates: dict[str, Any] = {
+            name: (("row", "col"), values, {"units": "m", "long_name": f"{name} in the map frame"})
+            for name, values in position.items()
+        }
+        noise = {"units": "1", "long_name": "power of the receiver noise in a pixel"}
+        coordinates["noise_power"] = ("channel", self.noise_power, noise)
+        attributes = {"units": "1", "long_name": "complex amplitude"}
+        return xarray.DataArray(self.images, coordinates, ("channel", "row", "col"), "slc", attributes)
+
+    def plot(self, channel: int = 0, axes: Any = None) -> Any:
+        """Draw the power of a channel over the pixels, in dB over the noise; returns the axes.
+
+        Args:
+            channel: number of the channel.
+            axes: axes of Matplotlib; None: those of a new figure.
+        """
+        power = np.abs(self.images[channel]) ** 2 / (self.noise_power[channel] or 1.0)
+        level = 10 * np.log10(power, out=np.full(power.shape, np.nan), where=power > 0)
+        names = ("along-track distance (m)", "distance in range (m)", f"power of channel {channel} over its noise (dB)")
+        return draw_array(level, self.grid.extent, names, "gray", axes)
 
     @property
     def autofocus_phase(self) -> F64:

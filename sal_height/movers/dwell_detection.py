@@ -22,7 +22,7 @@ from sal_height.movers.dwell_images import COLUMN_STEPS, DwellImage
 from sal_height.movers.dwell_paths import FARTHEST, DwellPaths
 from sal_height.movers.dwell_search import COLUMN_ERROR, DwellDetection, DwellSearch
 from sal_height.movers.mover import Looked, Mover, MoverMeasurement, mover_of, without_ambiguities
-from sal_height.numeric import F64, Index, vertex
+from sal_height.numeric import F64, Index, ShortRepr, vertex
 from sal_height.sensor import Sensor
 
 OVERLAP = 1.6
@@ -36,7 +36,7 @@ ALONE = "Dwell {} overlaps with none before or after it, so that no movers are f
 
 
 @dataclass(frozen=True, eq=False)
-class ShownDwell:
+class ShownDwell(ShortRepr):
     """A dwell in which movers are searched.
 
     Attributes:

@@ -15,7 +15,7 @@ import scipy.fft
 from sal_height.errors import Rejected
 from sal_height.geometry import ApertureState, Grid, angles_of, pixels_at, ranges_of_phase
 from sal_height.imaging import Slc
-from sal_height.numeric import C64, C128, F64, Bool, Index
+from sal_height.numeric import C64, C128, F64, Bool, Index, ShortRepr
 from sal_height.sensor import Sensor
 
 COLUMN_STEPS = 4
@@ -23,7 +23,7 @@ COLUMN_STEPS = 4
 
 
 @dataclass(frozen=True, eq=False)
-class DwellImage:
+class DwellImage(ShortRepr):
     """The image of a dwell.
 
     Attributes:

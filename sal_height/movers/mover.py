@@ -9,7 +9,7 @@ import numpy as np
 
 from sal_height.geometry import aperture_at, locate_at_elevation
 from sal_height.imaging import Slc
-from sal_height.numeric import F64, vertex
+from sal_height.numeric import F64, ShortRepr, vertex
 from sal_height.relief import Surface, measured_covariance
 from sal_height.sensor import Sensor
 
@@ -18,7 +18,7 @@ MIGRATING = 5.0
 
 
 @dataclass(frozen=True, eq=False)
-class Mover:
+class Mover(ShortRepr):
     """A moving target.
 
     Attributes:
@@ -98,7 +98,7 @@ class StripMover:
 
 
 @dataclass(frozen=True, eq=False)
-class Looked:
+class Looked(ShortRepr):
     """Result of the search in an image.
 
     Attributes:

@@ -17,12 +17,12 @@ from sal_height.beams import Beams
 from sal_height.imaging import Slc
 from sal_height.movers.detection import MoverSettings, search_strip
 from sal_height.movers.mover import Looked, StripMover, without_ambiguities
-from sal_height.numeric import C128
+from sal_height.numeric import C128, ShortRepr
 from sal_height.sensor import Sensor
 
 
 @dataclass(frozen=True, eq=False)
-class StripImage:
+class StripImage(ShortRepr):
     """An image of a strip in which movers are searched.
 
     Attributes:

@@ -3,13 +3,15 @@
 Read `arrays` (types of arrays), `jit` (compilation of kernels) and `threads` (work in several threads, BLAS in one)
 first, then `windows` (spectral weights), `transforms` (of many rows; exp(j phase)), `error_statistics` (of errors and
 their predicted standard deviations), `bilinear` (interpolation on nodes), `range_profiles` (interpolation of
-band-limited profiles), `vectors` (of three numbers, within compiled loops) and `pickled` (objects for other processes).
+band-limited profiles), `vectors` (of three numbers, within compiled loops), `pickled` (objects for other processes),
+`short_repr` (objects with arrays as text) and `drawing` (a look at an array).
 Nothing here knows of sensors or images.
 """
 
 from sal_height.numeric._kernels import cosine_and_sine, cosine_and_sine_of_part, tap_weights
 from sal_height.numeric.arrays import C64, C128, F32, F64, I32, I64, U8, Bool, Complex, Index, vertex
 from sal_height.numeric.bilinear import between_nodes, bilinear, node_before
+from sal_height.numeric.drawing import draw_array
 from sal_height.numeric.error_statistics import (
     MEDIAN_ERROR,
     ErrorStatistics,
@@ -29,6 +31,7 @@ from sal_height.numeric.range_profiles import (
     spectra_of_profiles,
     tap_polynomials,
 )
+from sal_height.numeric.short_repr import ShortRepr
 from sal_height.numeric.threads import WORKERS, available_processors, in_parallel, in_threads, one_blas_thread
 from sal_height.numeric.transforms import (
     LARGEST,
@@ -65,6 +68,7 @@ __all__ = [
     "Complex",
     "ErrorStatistics",
     "Index",
+    "ShortRepr",
     "Vector",
     "arrays_of",
     "available_processors",
@@ -81,6 +85,7 @@ __all__ = [
     "cross",
     "dense_profiles",
     "dot",
+    "draw_array",
     "error_statistics",
     "fast_length",
     "fraction_of",

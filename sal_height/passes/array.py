@@ -27,7 +27,7 @@ import numpy.typing as npt
 from sal_height.beams import Beams, Pattern
 from sal_height.errors import UserError
 from sal_height.geometry import ApertureState, angles_of, locate_at_elevation
-from sal_height.numeric import F64, window
+from sal_height.numeric import F64, ShortRepr, window
 from sal_height.passes.flown import Pass
 from sal_height.passes.settings import PassSettings
 
@@ -36,7 +36,7 @@ DEGREE = 4
 
 
 @dataclass(frozen=True, eq=False)
-class Steering:
+class Steering(ShortRepr):
     """The phases of the passes about one point.
 
     Attributes:
@@ -88,7 +88,7 @@ def _pattern(coefficients: F64, start: float) -> Pattern:
 
 
 @dataclass(frozen=True, eq=False)
-class PassArray:
+class PassArray(ShortRepr):
     """Passes, and the aperture in their middle to which range, Doppler and elevation refer.
 
     Attributes:
@@ -227,7 +227,7 @@ FALSE_PEAK = 0.5
 
 
 @dataclass(frozen=True, eq=False)
-class Ambiguity:
+class Ambiguity(ShortRepr):
     """Properties of the array response of the passes.
 
     Attributes:

@@ -21,7 +21,7 @@ from sal_height.elevation import AxisResponse, CellResponse
 from sal_height.errors import UserError
 from sal_height.geometry import Grid
 from sal_height.imaging import Processing, backproject_points
-from sal_height.numeric import C64, F64, Bool, vertex
+from sal_height.numeric import C64, F64, Bool, ShortRepr, vertex
 from sal_height.passes.array import PassArray, Steering, resolution
 from sal_height.passes.settings import PassSettings
 
@@ -36,7 +36,7 @@ MARGIN = 3
 
 
 @dataclass(frozen=True, eq=False)
-class Box:
+class Box(ShortRepr):
     """A part of the volume.
 
     Attributes:
@@ -56,7 +56,7 @@ class Box:
 
 
 @dataclass(frozen=True, eq=False)
-class Lattice:
+class Lattice(ShortRepr):
     """Boxes of one size around the middle of the scene.
 
     Attributes:

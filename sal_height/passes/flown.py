@@ -10,7 +10,7 @@ import numpy as np
 from scipy.constants import speed_of_light
 
 from sal_height.errors import UserError
-from sal_height.numeric import C128, F64
+from sal_height.numeric import C128, F64, ShortRepr
 from sal_height.sensor import PhaseHistory, Sensor
 
 LEAST_PASSES = 3
@@ -18,7 +18,7 @@ LEAST_PASSES = 3
 
 
 @dataclass(frozen=True, eq=False)
-class Pass:
+class Pass(ShortRepr):
     """Data of one receiver on one pass.
 
     Attributes:

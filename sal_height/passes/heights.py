@@ -10,7 +10,7 @@ import numpy as np
 
 from sal_height.elevation import ElevationEstimator, HeightSettings
 from sal_height.errors import UserError
-from sal_height.numeric import F64, Bool
+from sal_height.numeric import F64, Bool, ShortRepr
 from sal_height.passes.array import Ambiguity, PassArray, ambiguity_of
 from sal_height.passes.boxes import Lattice, Registered, registered
 from sal_height.passes.flown import LEAST_PASSES, Pass, together
@@ -77,7 +77,7 @@ def check_tie(
 
 
 @dataclass(frozen=True, eq=False)
-class ReferencePoint:
+class ReferencePoint(ShortRepr):
     """A point of known position.
 
     Attributes:
@@ -90,7 +90,7 @@ class ReferencePoint:
 
 
 @dataclass(frozen=True, eq=False)
-class PassHeights:
+class PassHeights(ShortRepr):
     """Heights from passes, and the result of each step.
 
     Attributes:

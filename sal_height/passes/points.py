@@ -22,7 +22,7 @@ from sal_height.elevation import (
     with_foreign_power,
     without_imprecise,
 )
-from sal_height.numeric import C64, F32, F64, Bool, Index
+from sal_height.numeric import C64, F32, F64, Bool, Index, ShortRepr
 from sal_height.passes.array import resolution
 from sal_height.passes.boxes import MARGIN, Box, Lattice, brightest
 from sal_height.passes.tie import Tie
@@ -39,7 +39,7 @@ Of a flat spectrum of bandwidth B it is 1 / (2 pi B / sqrt(12) sqrt(2 E)) of the
 
 
 @dataclass(frozen=True, eq=False)
-class PointHeights:
+class PointHeights(ShortRepr):
     """Points with a height; arrays of shape (points, ...).
 
     Attributes:

@@ -23,7 +23,7 @@ import numpy as np
 
 from sal_height.elevation import AMBIGUOUS_RATIO
 from sal_height.errors import UserError
-from sal_height.numeric import C64, C128, F64, MEDIAN_ERROR, Bool, vertex
+from sal_height.numeric import C64, C128, F64, MEDIAN_ERROR, Bool, ShortRepr, vertex
 from sal_height.passes.array import PassArray, Steering
 from sal_height.passes.boxes import Box, Registered, brightest
 from sal_height.passes.settings import PassSettings
@@ -161,7 +161,7 @@ def _bright_in(box: Box, image: C64, settings: PassSettings) -> list[tuple[float
 
 
 @dataclass(frozen=True, eq=False)
-class Tie:
+class Tie(ShortRepr):
     """Phases and positions of the passes.
 
     Attributes:

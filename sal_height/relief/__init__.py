@@ -9,11 +9,12 @@ also of rows estimated apart, `membrane` and `visibility`), `cell_map` (a map th
 file).
 """
 
-from sal_height.relief.cell_map import CellMap, Relief
+from sal_height.relief.cell_map import CellMap, GroundKind, Relief
 from sal_height.relief.geotiff import check_geotiff, write_geotiff
-from sal_height.relief.ground import GroundEstimate, GroundKind
+from sal_height.relief.ground import GroundEstimate
 from sal_height.relief.ground_map import GroundMap, fine_cell_size
 from sal_height.relief.heights import HeightField, Surface, height_field
+from sal_height.relief.labelled import LAYERS, labelled_heights, map_coordinates
 from sal_height.relief.layers import joined_rows
 from sal_height.relief.map import ReliefMap, fitting_cell_size
 from sal_height.relief.offsets import SharedError, stated_course
@@ -47,6 +48,7 @@ from sal_height.relief.smoothing import (
 from sal_height.relief.tracked import ground_spacings, track
 
 __all__ = [
+    "LAYERS",
     "CellMap",
     "GroundEstimate",
     "GroundKind",
@@ -74,7 +76,9 @@ __all__ = [
     "height_field",
     "height_variance",
     "joined_rows",
+    "labelled_heights",
     "level_turn",
+    "map_coordinates",
     "measured_covariance",
     "pitch_covariance",
     "pose_covariance",

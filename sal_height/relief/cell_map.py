@@ -11,22 +11,35 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from sal_height.errors import Rejected
+from sal_height.extras import import_extra
 from sal_height.geometry import ApertureState
-from sal_height.numeric import F32, F64, I64, U8, Index
+from sal_height.numeric import F32, F64, I64, U8, Index, ShortRepr, draw_array
 from sal_height.relief.heights import HeightField
+from sal_height.relief.labelled import flags, height_attributes, place_attributes
 from sal_height.relief.offsets import LASTING, OffsetTest, SharedError
 
 TILE = 128
 """Side in cells of the square tiles by which the memory of a map grows."""
 
 
+class GroundKind(IntEnum):
+    """Basis of the height of a cell; the values are those of ReliefMap.msg."""
+
+    MEASURED = 0
+    INTERPOLATED = 1
+    SHADOW = 2
+    UNSEEN = 3
+
+
 @dataclass(frozen=True, eq=False)
-class Relief:
+class Relief(ShortRepr):
     """A map at some time; arrays of shape (rows, cols), row 0 the southernmost.
 
     Attributes:
@@ -61,6 +74,38 @@ class Relief:
         unknown = np.isfinite(self.height) & ~np.isfinite(self.sigma)
         if unknown.any():
             raise ValueError(f"{np.count_nonzero(unknown)} heights of a map have no finite sigma.")
+
+    def to_xarray(self) -> Any:
+        """The map as an xarray.Dataset with the dimensions y (north) and x (east), along the sphere of the map.
+
+        Raises:
+            UserError: xarray is not installed.
+        """
+        xarray = import_extra("xarray", "Making labelled arrays")
+        rows, cols = self.height.shape
+        axes = {"y": self.north + self.cell_size * np.arange(rows), "x": self.east + self.cell_size * np.arange(cols)}
+        texts = {
+            "height": height_attributes(None),
+            "sigma": {"units": "m", "long_name": "standard deviation of height"},
+            "disagreement": {"units": "1", "long_name": "spread of the dwells over that expected"},
+            "count": {"units": "1", "long_name": "number of dwells that saw the cell"},
+            "kind": {"long_name": "basis of the height", **flags(GroundKind)},
+        }
+        layers = {name: (("y", "x"), getattr(self, name), text) for name, text in texts.items()}
+        known = {name: layer for name, layer in layers.items() if layer[1] is not None}
+        return xarray.Dataset(known, {name: (name, at, place_attributes(name, None)) for name, at in axes.items()})
+
+    def plot(self, axes: Any = None) -> Any:
+        """Draw the heights of the map; returns the axes.
+
+        Args:
+            axes: axes of Matplotlib; None: those of a new figure.
+        """
+        (rows, cols), edge = self.height.shape, self.cell_size / 2
+        left, lower = self.east - edge, self.north - edge
+        extent = (left, left + cols * self.cell_size, lower, lower + rows * self.cell_size)
+        names = ("distance east (m)", "distance north (m)", "height above the sphere (m)")
+        return draw_array(self.height, extent, names, axes=axes)
 
 
 class CellMap(ABC):

@@ -18,14 +18,14 @@ and a few that do not exist. From them follows the highest surface of each cell 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import IntEnum
 
 import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import binary_dilation, distance_transform_edt, uniform_filter
 
-from sal_height.numeric import F64, I64, U8, Bool
+from sal_height.numeric import F64, I64, U8, Bool, ShortRepr
 from sal_height.relief import _kernels as kernels
+from sal_height.relief.cell_map import GroundKind
 from sal_height.relief.layers import Layers, Neighbours, neighbours, on_walls, supported
 from sal_height.relief.membrane import Membrane, deviation, fitted_membrane, footprint
 from sal_height.relief.offsets import LASTING, SharedError
@@ -33,17 +33,8 @@ from sal_height.relief.settings import GroundSettings
 from sal_height.relief.visibility import blocking_cells, contradicted
 
 
-class GroundKind(IntEnum):
-    """Basis of the height of a cell; the values are those of ReliefMap.msg."""
-
-    MEASURED = 0
-    INTERPOLATED = 1
-    SHADOW = 2
-    UNSEEN = 3
-
-
 @dataclass(frozen=True, eq=False)
-class GroundEstimate:
+class GroundEstimate(ShortRepr):
     """Heights of the highest surface of the cells of a grid; arrays of shape (rows, cols), row 0 the southernmost.
 
     Attributes:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 
@@ -16,9 +16,11 @@ from sal_height.elevation import (
     common_deviation,
     scatterer_count,
 )
+from sal_height.extras import import_extra
 from sal_height.geometry import ApertureState, Grid, aperture_at, height_of, locate_at_elevation
-from sal_height.numeric import F32, F64, U8, Bool, in_parallel
+from sal_height.numeric import F32, F64, U8, Bool, ShortRepr, draw_array, in_parallel
 from sal_height.relief import _surface_kernels as kernels
+from sal_height.relief.labelled import labelled_heights
 from sal_height.relief.position_error import (
     LEAST_POINTS,
     height_variance,
@@ -29,7 +31,7 @@ from sal_height.relief.position_error import (
 
 
 @dataclass(frozen=True)
-class Surface:
+class Surface(ShortRepr):
     """One scatterer of each pixel; arrays of the shape (rows, cols) of the height image, NaN where it is absent.
 
     Attributes:
@@ -185,7 +187,7 @@ class Surface:
 
 
 @dataclass(frozen=True)
-class HeightField:
+class HeightField(ShortRepr):
     """Heights of one dwell.
 
     Attributes:
@@ -209,6 +211,26 @@ class HeightField:
     def first(self) -> Surface:
         """The surface of the strongest scatterers."""
         return self.surfaces[0]
+
+    def to_xarray(self) -> Any:
+        """The heights as an xarray.Dataset with the dimensions surface, row and col.
+
+        Names, units and attributes are those of `sal_height.open_heights`; x and y are distances along the sphere.
+
+        Raises:
+            UserError: xarray is not installed.
+        """
+        xarray = import_extra("xarray", "Making labelled arrays")
+        return xarray.Dataset(*labelled_heights([self])).isel(dwell=0)
+
+    def plot(self, axes: Any = None) -> Any:
+        """Draw the heights of the strongest scatterers over the pixels; returns the axes.
+
+        Args:
+            axes: axes of Matplotlib; None: those of a new figure.
+        """
+        names = ("along-track distance (m)", "distance in range (m)", "height above the sphere (m)")
+        return draw_array(self.first.height, self.grid.extent, names, axes=axes)
 
 
 def height_field(

@@ -28,7 +28,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from sal_height.numeric import F64, Bool
+from sal_height.numeric import F64, Bool, ShortRepr
 from sal_height.relief import _tracking_kernels as kernels
 from sal_height.relief.settings import DEFAULT_TRACKING, TrackingSettings
 from sal_height.relief.slope import median
@@ -46,7 +46,7 @@ AROUND = DIFFERENCE * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]
 
 
 @dataclass(frozen=True, eq=False)
-class PriorEstimate:
+class PriorEstimate(ShortRepr):
     """Estimate from the dwells so far of the prior of their relief; empty at the start.
 
     Attributes:

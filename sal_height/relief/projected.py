@@ -7,13 +7,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sal_height.geometry import ApertureState, Projection, sphere_coordinates, sphere_point
-from sal_height.numeric import F64
+from sal_height.numeric import F64, ShortRepr
 from sal_height.relief.cell_map import Relief
 from sal_height.relief.heights import HeightField, Surface
 
 
 @dataclass(frozen=True, eq=False)
-class ProjectedAxes:
+class ProjectedAxes(ShortRepr):
     """Map axes in which arc distances east and north of the origin are coordinates of a projection.
 
     A map is made in them as it is in those of the flight: `Relief` and everything before it knows nothing of a

@@ -36,7 +36,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sal_height.errors import UserError
-from sal_height.numeric import F64, Bool, Index, blocks, in_parallel
+from sal_height.numeric import F64, Bool, Index, ShortRepr, blocks, in_parallel
 from sal_height.relief import _tracking_kernels as kernels
 from sal_height.relief._tracking_kernels import LEAST_SIGMA, Heights
 from sal_height.relief.settings import DEFAULT_TRACKING, TrackingSettings
@@ -46,7 +46,7 @@ COLUMNS_AT_ONCE = 64
 
 
 @dataclass(frozen=True, eq=False)
-class MeasuredHeights:
+class MeasuredHeights(ShortRepr):
     """Measured heights of the cells of an image, rows in the order of range.
 
     Attributes:
@@ -126,7 +126,7 @@ class ReliefPrior:
 
 
 @dataclass(frozen=True, eq=False)
-class TrackedRelief:
+class TrackedRelief(ShortRepr):
     """Tracked heights of all cells; arrays of shape (rows, cols).
 
     Attributes:

@@ -10,7 +10,7 @@ from scipy.ndimage import uniform_filter1d
 from scipy.special import entr
 
 from sal_height.errors import UserError
-from sal_height.numeric import C128, F64, I64, WINDOWS, Bool, Complex, broadening, noise_gain, window
+from sal_height.numeric import C128, F64, I64, WINDOWS, Bool, Complex, ShortRepr, broadening, noise_gain, window
 
 CHIP = 256  # side of the chip around the target, pixels
 OVERSAMPLING = 32  # samples per pixel of an interpolated cut
@@ -63,7 +63,7 @@ class ImpulseResponse:
 
 
 @dataclass(frozen=True, eq=False)
-class Chip:
+class Chip(ShortRepr):
     """Pixels around a target as a sum of waves, which has values between them too (Fourier interpolation).
 
     Attributes:

@@ -35,12 +35,12 @@ import numpy as np
 from scipy.special import chdtrc
 
 from sal_height.errors import NotDetermined
-from sal_height.numeric import C128, F64, frequencies
+from sal_height.numeric import C128, F64, ShortRepr, frequencies
 from sal_height.response.speckle_spectra import SpeckleSpectra, cross_spectrum, fejer_power
 
 
 @dataclass(frozen=True, eq=False)
-class ShapedNoise:
+class ShapedNoise(ShortRepr):
     """Receiver noise, white before the processor: the covariance of its pixels, over that at lag 0.
 
     Attributes:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.fft
 
-from sal_height.numeric import C128, F64, Index
+from sal_height.numeric import C128, F64, Index, ShortRepr
 from sal_height.response.impulse import OVERSAMPLING, CutResponse, band_frequencies, cut_response
 from sal_height.response.transfer_function import AxisTransfer, TransferFunction
 
@@ -40,7 +40,7 @@ class AxisSpread:
 
 
 @dataclass(frozen=True, eq=False)
-class PointSpread:
+class PointSpread(ShortRepr):
     """The response to a point, and its figures along range and azimuth.
 
     Attributes:

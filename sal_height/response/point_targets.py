@@ -17,7 +17,7 @@ from scipy.ndimage import maximum_filter, median_filter
 from scipy.spatial import cKDTree
 
 from sal_height.errors import NotDetermined, UserError
-from sal_height.numeric import C64, C128, F64, Complex, Index, in_parallel
+from sal_height.numeric import C64, C128, F64, Complex, Index, ShortRepr, in_parallel
 from sal_height.response.impulse import chip_around
 from sal_height.settings import Settings, setting
 
@@ -95,7 +95,7 @@ class Candidate:
 
 
 @dataclass(frozen=True, eq=False)
-class PointTarget:
+class PointTarget(ShortRepr):
     """A target's chip, with its interpolated peak moved to pixel (0, 0), where it is 1.
 
     Attributes:

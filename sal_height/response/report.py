@@ -14,7 +14,7 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 
 from sal_height.errors import NotDetermined, UserError
-from sal_height.numeric import C64, C128, F64, Complex
+from sal_height.numeric import C64, C128, F64, Complex, ShortRepr
 from sal_height.response.linearity import KnownNoise, ShapedNoise, Superposition, superposition
 from sal_height.response.point_spread import PointSpread, estimate_point_spread
 from sal_height.response.point_targets import CHIP, PointTarget, PointTargetSettings, TargetSurvey, find_targets
@@ -80,7 +80,7 @@ DEFAULTS = PsfSettings()
 
 
 @dataclass(frozen=True, eq=False)
-class PsfReport:
+class PsfReport(ShortRepr):
     """The response to a point as measured in images; None: not determined.
 
     Attributes:

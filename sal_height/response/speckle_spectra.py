@@ -24,12 +24,12 @@ import numpy as np
 import scipy.fft
 from scipy.linalg import toeplitz
 
-from sal_height.numeric import C64, C128, F32, F64, Index, blocks, frequencies, in_parallel
+from sal_height.numeric import C64, C128, F32, F64, Index, ShortRepr, blocks, frequencies, in_parallel
 from sal_height.response.speckle_tiles import SpeckleTiles, checked_image, sum_of_powers
 
 
 @dataclass(frozen=True)
-class AxisSpectrum:
+class AxisSpectrum(ShortRepr):
     """Second-order statistics of speckle along one axis.
 
     Attributes:
@@ -86,7 +86,7 @@ class AxisSpectrum:
 
 
 @dataclass(frozen=True)
-class Pointing:
+class Pointing(ShortRepr):
     """Pointing of the antenna along the track.
 
     Attributes:
@@ -101,7 +101,7 @@ class Pointing:
 
 
 @dataclass(frozen=True)
-class SpeckleSpectra:
+class SpeckleSpectra(ShortRepr):
     """The response as estimated from speckle.
 
     Attributes:

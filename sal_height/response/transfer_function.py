@@ -13,7 +13,7 @@ import numpy as np
 import scipy.fft
 
 from sal_height.errors import NotDetermined
-from sal_height.numeric import C128, F64
+from sal_height.numeric import C128, F64, ShortRepr
 from sal_height.response.impulse import band_frequencies, peak_offset
 from sal_height.response.point_targets import PointTarget
 
@@ -21,7 +21,7 @@ FLOOR = 0.05  # power of a response, over its greatest, below which bins hardly 
 
 
 @dataclass(frozen=True, eq=False)
-class AxisTransfer:
+class AxisTransfer(ShortRepr):
     """The response of a system along one axis.
 
     It is scaled and turned so that the response to a point has its peak in pixel 0, and the value 1 there: the mean of
@@ -52,7 +52,7 @@ class AxisTransfer:
 
 
 @dataclass(frozen=True, eq=False)
-class TransferFunction:
+class TransferFunction(ShortRepr):
     """Responses of a system along range and azimuth, from a number of `targets`."""
 
     range: AxisTransfer

@@ -8,11 +8,11 @@ import numpy as np
 from scipy.linalg import polar
 
 from sal_height.errors import UserError
-from sal_height.numeric import C128, F64
+from sal_height.numeric import C128, F64, ShortRepr
 
 
 @dataclass(frozen=True, eq=False)
-class Channels:
+class Channels(ShortRepr):
     """Linear combinations of a sensor's channels with independent noise, for an estimator.
 
     Attributes:

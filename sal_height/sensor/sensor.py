@@ -15,7 +15,7 @@ from scipy.constants import speed_of_light
 from sal_height.beams import Beams, BeamTable, detector_pattern, tabulated_pattern
 from sal_height.errors import UserError
 from sal_height.geometry import AT_BASE_LINK, Mounting
-from sal_height.numeric import C64, C128, F64, Bool
+from sal_height.numeric import C64, C128, F64, Bool, ShortRepr
 from sal_height.sensor.uncertainty import NOTHING_STATED, SensorUncertainty
 
 NUFFT_TOLERANCE = 1e-7
@@ -435,7 +435,7 @@ def _sensor_of(*values: Any) -> Sensor:
 
 
 @dataclass(frozen=True, eq=False)
-class PhaseHistory:
+class PhaseHistory(ShortRepr):
     """Phase history of one dwell.
 
     With waveform "spectrum", a point of amplitude A at distance R from the antenna contributes

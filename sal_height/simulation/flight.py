@@ -25,7 +25,7 @@ from sal_height.geometry import (
     sphere_coordinates,
     sphere_point,
 )
-from sal_height.numeric import F64, Complex
+from sal_height.numeric import F64, Complex, ShortRepr
 from sal_height.sensor import (
     PhaseHistory,
     Sensor,
@@ -54,7 +54,7 @@ LASER, LEAVES = 6, 7  # keys of streams of a dwell, or of a tile: laser phase, a
 
 
 @dataclass(frozen=True)
-class SimulatedFlight:
+class SimulatedFlight(ShortRepr):
     """Everything a simulated run is made of; each dwell follows from it alone.
 
     Positions, velocities and attitudes are those of the sensor: of the antenna, and of the axes of its stabilised

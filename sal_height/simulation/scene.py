@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from sal_height.errors import UserError
 from sal_height.geometry import ApertureState, Origin, angles_of, aperture_at, sphere_coordinates, sphere_point
-from sal_height.numeric import F64, Bool, Index, bilinear
+from sal_height.numeric import F64, Bool, Index, ShortRepr, bilinear
 from sal_height.simulation._terrain_kernels import divide_cuts, mark_lit, see
 from sal_height.simulation.canopy import CANOPY_LAYERS, Canopy
 
@@ -78,7 +78,7 @@ class PointScatterer:
 
 
 @dataclass(frozen=True, eq=False)
-class Scene:
+class Scene(ShortRepr):
     """A terrain of heights and radar brightness on a regular grid, with point targets.
 
     Heights are bilinear between nodes; a step between two nodes is a wall. Brightness is beta-nought: mean power per
@@ -180,7 +180,7 @@ class Scene:
 
 
 @dataclass(frozen=True, eq=False)
-class VisibleSurface:
+class VisibleSurface(ShortRepr):
     """Scatterers that an aperture sees, dense enough that each resolution cell has several.
 
     Attributes:

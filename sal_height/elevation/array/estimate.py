@@ -13,7 +13,7 @@ from sal_height.elevation.array.beam_error import PowerLaw
 from sal_height.elevation.array.bounds import beam_power
 from sal_height.elevation.array.height_settings import HeightSettings
 from sal_height.elevation.looks.looks import Covariance, Looks
-from sal_height.numeric import F64, U8, Bool
+from sal_height.numeric import F64, U8, Bool, ShortRepr
 
 
 class Validity(IntEnum):
@@ -80,7 +80,7 @@ class Scatterer:
 
 
 @dataclass(frozen=True, eq=False)
-class Residue:
+class Residue(ShortRepr):
     """A single scatterer fitted to each pixel, whatever is there, and one more; arrays (rows, cols), finite.
 
     Powers are sums over the looks, in units of the receivers' noise power.
@@ -97,7 +97,7 @@ class Residue:
 
 
 @dataclass(frozen=True)
-class ElevationEstimate:
+class ElevationEstimate(ShortRepr):
     """Elevations of the scatterers in every pixel.
 
     Attributes:
@@ -145,7 +145,7 @@ class ElevationEstimate:
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
+class Fit(ShortRepr):
     """Fit of a model to each pixel; arrays (rows, cols), powers in units of the receivers' noise power.
 
     Attributes:

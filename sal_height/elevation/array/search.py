@@ -28,7 +28,7 @@ from sal_height.elevation.array._kernels import (
 from sal_height.elevation.array.bounds import Numbers
 from sal_height.elevation.looks.looks import Covariance, Looks
 from sal_height.errors import UserError
-from sal_height.numeric import F32, F64, I64, Index, in_parallel
+from sal_height.numeric import F32, F64, I64, Index, ShortRepr, in_parallel
 
 Objective = Callable[[F64, F64], tuple[F64, F64]]
 """Function of response and slope of the beams that returns weights and their slope; all real, (..., detectors)."""
@@ -151,7 +151,7 @@ class SearchTables:
 
 
 @dataclass(frozen=True, eq=False)
-class PeakSearch:
+class PeakSearch(ShortRepr):
     """The search of some pixels, each at its own squint.
 
     Attributes:
@@ -310,7 +310,7 @@ class Block(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class PeakSearches:
+class PeakSearches(ShortRepr):
     """Searches over the same elevations at any squints.
 
     Attributes:

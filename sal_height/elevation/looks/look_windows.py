@@ -15,7 +15,7 @@ import numpy as np
 
 from sal_height.elevation.looks._look_kernels import sum_across, sum_down
 from sal_height.elevation.looks.cell_response import REACH, AxisResponse
-from sal_height.numeric import F64, Index, in_parallel
+from sal_height.numeric import F64, Index, ShortRepr, in_parallel
 
 LOOK_WINDOWS: dict[str, Callable[[int], F64]] = {
     "boxcar": np.ones,
@@ -32,7 +32,7 @@ LEAST_PRODUCTS = 2**18
 
 
 @dataclass(frozen=True, eq=False)
-class Window:
+class Window(ShortRepr):
     """The samples along one axis of an image that are the looks of a pixel, and their weights.
 
     Pixel i has the n samples from i step + (step - n) // 2 on, n the number of weights: consecutive blocks if the step

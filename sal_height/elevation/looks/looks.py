@@ -18,7 +18,7 @@ from sal_height.elevation.looks.cell_response import CellResponse
 from sal_height.elevation.looks.look_windows import EVEN_VARIANCE, AxisLooks, Bands, Window, axis_looks
 from sal_height.errors import Rejected, UserError
 from sal_height.geometry import Grid
-from sal_height.numeric import C64, F32, F64, Bool, Index, in_parallel
+from sal_height.numeric import C64, F32, F64, Bool, Index, ShortRepr, in_parallel
 from sal_height.sensor import Channels
 
 SPECKLE_RATE = 0.003
@@ -171,7 +171,7 @@ class Covariances(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Looks:
+class Looks(ShortRepr):
     """Covariance of the channels in each pixel of the height image: with the beams, the input of an estimator.
 
     Attributes:

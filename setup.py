@@ -50,6 +50,7 @@ setup(
             "presets/*.csv",
             "config/*",
             "launch/*",
+            "kernel_types.txt",
             "messages/*.json",
             "messages/*.pyi",
             "py.typed",

@@ -16,7 +16,7 @@ from helpers import few
 PACKAGE = Path(__file__).parents[1] / "sal_height"
 LAYERS = (
     ("errors", "renamed", "topics", "doubts"),
-    ("numeric", "extras", "io", "settings", "configuration", "tables", "array_files"),
+    ("numeric", "extras", "io", "settings", "configuration", "tables", "array_files", "progress"),
     ("geometry",),
     ("response",),
     ("beams",),
@@ -26,7 +26,7 @@ LAYERS = (
     ("calibration", "adjustment", "movers"),
     ("theory",),
     ("pipeline",),
-    ("rehearsal", "passes"),
+    ("rehearsal", "passes", "precompile"),
     ("engine", "figures"),
     ("messages", "stage_files", "workers"),
     ("bag",),

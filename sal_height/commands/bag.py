@@ -158,9 +158,9 @@ def check(bag: Bag, /, *, json_: Json = False) -> int:
 @contextmanager
 def _reading(bag: Path) -> Iterator[Callable[[int, int], None]]:
     """A progress bar of the bytes that are read."""
-    from tqdm import tqdm
+    from sal_height.progress import Bar
 
-    with tqdm(desc=bag.name, unit="B", unit_scale=True, delay=1, leave=False) as progress:
+    with Bar(desc=bag.name, unit="B", unit_scale=True, delay=1, leave=False) as progress:
 
         def advance(done: int, total: int) -> None:
             progress.total = total

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from importlib.util import find_spec
 from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
@@ -111,6 +112,8 @@ def run(
     left = (folder / name for name in (*pictures, RELIEF_MAP, "report.json", "bag"))
     first, *others = [str(path) for path in left if path.exists()]
     print(f"{counted(outcome.dwells, 'dwell')}{interrupted}; look first at {first}, then at {', '.join(others)}")
+    if not find_spec("rasterio"):
+        complain([f"{RELIEF_MAP} is left out: it needs rasterio; install it with: pip install 'sal_height[dem]'."])
     if outcome.interrupted:
         return INTERRUPTED
     complain(outcome.losses)

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Self
 
 import numpy as np
-from tqdm import tqdm
 
 from sal_height import messages
 from sal_height.bag.described import origin_of
@@ -23,6 +22,7 @@ from sal_height.errors import UserError
 from sal_height.geometry import UTM, ApertureState, Origin, Projection
 from sal_height.graph.catalogue import MAPPERS
 from sal_height.numeric import F64
+from sal_height.progress import Bar
 from sal_height.relief import (
     HeightField,
     ProjectedAxes,
@@ -105,7 +105,7 @@ class RecordedHeights:
     def dwells(self, task: str) -> Iterator[DwellHeights]:
         """The images one after the other, with a progress bar; those that cannot be used are left out and logged."""
         left_out, why = 0, ""
-        for recorded in tqdm(self.reader.messages([self.topic]), total=self.count, desc=task, unit="dwell", delay=1):
+        for recorded in Bar(self.reader.messages([self.topic]), total=self.count, desc=task, unit="dwell", delay=1):
             try:
                 image = self.reader.decode(recorded.type_name, recorded.cdr)
                 field = messages.field_from_message(image, image.header.frame_id)

@@ -14,7 +14,6 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure as Picture
 from PIL import Image
-from tqdm import tqdm
 
 from sal_height.errors import UserError, did_you_mean
 from sal_height.figures.array_elevation import WEIGHTS, fig10, fig11
@@ -25,6 +24,7 @@ from sal_height.figures.psf_point_targets import PSF_FIGURES
 from sal_height.figures.relief_tracking import relief_tracking
 from sal_height.figures.sum_difference_radar import RELIEF_FIGURES
 from sal_height.io import new_folder, write_text, writing
+from sal_height.progress import Bar
 
 mpl.use("Agg")
 
@@ -178,7 +178,7 @@ def make_figures(names: Sequence[str], out: Path, trials: int, seed: int) -> lis
     folder = new_folder(out)
     chosen = {name: figure for name, figure in FIGURES.items() if name in names}
     checks: list[dict[str, Any]] = []
-    with tqdm(total=sum(figure.curve_count for figure in chosen.values()), unit="curve") as progress:
+    with Bar(total=sum(figure.curve_count for figure in chosen.values()), unit="curve", desc="figures") as progress:
         for name, figure in chosen.items():
             progress.set_description(name)
             curves = []

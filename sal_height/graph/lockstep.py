@@ -15,7 +15,6 @@ from typing import Any, NamedTuple
 from rclpy.clock_type import ClockType
 from rclpy.node import Node
 from rclpy.time import Time
-from tqdm import tqdm
 
 from sal_height.engine.results import DwellKey
 from sal_height.errors import UserError
@@ -30,6 +29,7 @@ from sal_height.nodes.transport.domain import ros_domain
 from sal_height.nodes.transport.endpoints import Inlet, Outlet
 from sal_height.nodes.transport.graph import Graph
 from sal_height.nodes.worker import WorkerNode
+from sal_height.progress import Bar
 from sal_height.workers.processes import Interruption
 
 
@@ -250,17 +250,18 @@ def perform(plan: Plan, execution: Execution = DEFAULT) -> Outcome:
             run = Lockstep(plan, ensemble)
             wait = _waiter(ensemble.graph, run, interruption, execution.timeout_s)
             began = time.monotonic()
-            with tqdm(total=plan.dwells, unit="dwell", desc=plan.bag.parent.name) as progress:
+            with Bar(total=plan.dwells, unit="dwell", desc=plan.bag.parent.name) as progress:
                 try:
                     wait(run.is_ready, "all nodes to be ready")
                     run.begin()
+                    progress.reset()  # its rate is that of the dwells
                     began = time.monotonic()
                     while run.step():
                         wait(run.is_settled, f"what was played from dwell {progress.n} on to be processed")
                         run.announce()
                         wait(run.is_settled, f"what was played up to dwell {run.played} to be processed")
+                        progress.set_postfix_str(run.drops(), refresh=False)
                         progress.update(run.played - progress.n)
-                        progress.set_postfix_str(run.drops())
                     run.finish(wait)
                     progress.update(run.played - progress.n)
                 except KeyboardInterrupt:

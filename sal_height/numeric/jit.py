@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import logging
-import math
-import time
 from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
@@ -20,36 +18,28 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 _LOG = logging.getLogger(__name__)
 
 
-class Progress(event.Listener):
-    """Reports compilation of functions, which takes a minute for all of them at the first start on a machine.
+LOOPS: dict[str, Any] = {}
+"""Loops that are compiled for each set of argument types on the first call, by module and name."""
 
-    Attributes:
-        functions: functions that are compiled on their first call.
-        done: functions that this process has compiled, for any types; all others are not needed, or are cached.
-    """
+
+class CompilationNotice(event.Listener):
+    """Reports, once per process, that kernels are being compiled; attribute `is_given` is true from then on."""
 
     def __init__(self) -> None:
-        self.functions: set[Callable[..., Any]] = set()
-        self.done: set[Callable[..., Any]] = set()
-        self._reported_at = -math.inf
+        self.is_given = False
 
     def on_start(self, _: event.Event) -> None:
-        """Report it, every five seconds at most."""
-        if time.monotonic() - self._reported_at > 5.0:
-            self._reported_at = time.monotonic()
-            _LOG.warning(
-                "Compiling for this processor, once: %d functions done, %d at most.",
-                len(self.done),
-                len(self.functions),
-            )
+        """Report it."""
+        if not self.is_given:
+            self.is_given = True
+            _LOG.warning("Compiling kernels for this processor, once: the first run takes up to two minutes longer.")
 
     def on_end(self, ended: event.Event) -> None:
-        """Count the function if it is one of ours; numba compiles its own functions in the same way."""
-        self.done |= self.functions & {ended.data["dispatcher"].py_func}
+        """Do nothing."""
 
 
-PROGRESS = Progress()
-event.register("numba:compile", PROGRESS)  # type: ignore[no-untyped-call]
+NOTICE = CompilationNotice()
+event.register("numba:compile", NOTICE)  # type: ignore[no-untyped-call]
 
 
 def compiled(function: Function) -> Function:
@@ -81,11 +71,35 @@ def _cached(function: Function, *, fastmath: bool) -> Function:
     Numba itself asks only whether the file of the function has changed, although the code that it stores contains that
     of the functions of other files, and their constants.
     """
-    PROGRESS.functions.add(function)
     loop: Any = njit(nogil=True, fastmath=fastmath, error_model="numpy", cache=True)(function)
     if loop is not function:  # NUMBA_DISABLE_JIT leaves the function as it is
         loop._cache._cache_file._source_stamp = sorted(set(_sources(function, set())))  # noqa: SLF001 (no other way)
+        LOOPS[_name_of(function)] = loop
     return cast("Function", loop)
+
+
+def is_cached(loop: Any, types: tuple[Any, ...]) -> bool:
+    """True if an earlier process has compiled the loop for arguments of these numba types.
+
+    It reads the index only, and no code.
+    """
+    key = loop._cache._index_key(types, loop.targetctx.codegen())  # noqa: SLF001 (no other way)
+    return key in loop._cache._cache_file._load_index()  # noqa: SLF001
+
+
+def loops_called(loop: Any) -> set[str]:
+    """Names of the loops that a loop calls, directly or by functions that are inlined into it."""
+    called = set()
+    for name in loop.py_func.__code__.co_names:
+        value = loop.py_func.__globals__.get(name)
+        if isinstance(value, Dispatcher):
+            full_name = _name_of(value.py_func)
+            called |= {full_name} if full_name in LOOPS else loops_called(value)
+    return called
+
+
+def _name_of(function: Callable[..., Any]) -> str:
+    return f"{function.__module__}.{function.__name__}"
 
 
 def _sources(function: Callable[..., Any], seen: set[Callable[..., Any]]) -> Iterator[str]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ast
 import logging
-import math
 import os
 import subprocess
 import sys
@@ -107,21 +106,15 @@ def finite_square(number: float) -> float:
     return square if square < np.inf else 0.0
 
 
-def test_whoever_waits_for_the_compiler_is_told_once_in_a_while(
-    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Each function counts once, for whatever types; those of others, and of the cache, do not count."""
+def test_compilation_is_reported_once(caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch) -> None:
+    """However many kernels a process compiles, and nothing where they are cached."""
     caplog.set_level(logging.WARNING, jit.__name__)
-    monkeypatch.setattr(jit.PROGRESS, "_reported_at", -math.inf)
-    functions, before = jit.PROGRESS.functions, len(jit.PROGRESS.done)
-    assert len(functions) > 50
-    ours = [njit(lambda x, number=number: x + number) for number in range(2)]
-    monkeypatch.setattr(jit.PROGRESS, "functions", functions | {function.py_func for function in ours})
-    for function in (*ours, njit(lambda x: x + 2)):
+    monkeypatch.setattr(jit.NOTICE, "is_given", False)
+    for number in range(2):
+        function = njit(lambda x, number=number: x + number)
         assert function(1.0) == function(2) - 1
-    assert len(jit.PROGRESS.done) == before + 2
     (said,) = caplog.messages
-    assert said.startswith(f"Compiling for this processor, once: {before} functions done, ")
+    assert said.startswith("Compiling kernels for this processor, once: ")
 
 
 def test_loops_run_as_python_for_whoever_looks_into_them() -> None:

@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from tqdm import tqdm
 
 from sal_height import __version__
 from sal_height.bag.compare import compare_bags
@@ -35,6 +34,7 @@ from sal_height.graph.reporting import PARAMETERS, merged
 from sal_height.io import bag_name, write_text, writing
 from sal_height.messages.kinds import write_heights
 from sal_height.numeric import available_processors
+from sal_height.progress import Bar
 from sal_height.runs.chain.chain_runs import BagRun, plan
 from sal_height.runs.chain.replay_parameters import ReplayPlan
 from sal_height.runs.replay.judge import verdict_of
@@ -245,7 +245,7 @@ def run_campaign(campaign: Campaign, out: Path, workers: Workers) -> list[dict[s
     _enter(campaign, out)
     rows = {number: known(case.folder) for number, case in enumerate(cases) if is_done(case.folder)}
     remaining = {number: case for number, case in enumerate(cases) if number not in rows}
-    with tqdm(total=len(remaining), unit="bag", desc="batch", disable=not remaining) as progress:
+    with Bar(total=len(remaining), unit="bag", desc="batch", disable=not remaining) as progress:
         for number, (row, failure) in _processed(remaining, workers):
             case = cases[number]
             rows[number] = {"bag": str(case.bag), **case.values, "failure": failure} if failure else row

@@ -13,8 +13,6 @@ from itertools import accumulate, islice
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from tqdm import tqdm
-
 from sal_height.bag.described import sensors_of
 from sal_height.bag.played import ALL, chosen, read_contents
 from sal_height.bag.reader import BagMessage
@@ -29,6 +27,7 @@ from sal_height.errors import UserError
 from sal_height.graph.catalogue import ADJUSTER, DETECTOR, NodeParameters, consumers, parameters_of
 from sal_height.graph.plan import ALL_PROCESSED, AsFlown, Plan
 from sal_height.messages.kinds import kind_of_topic
+from sal_height.progress import Bar
 from sal_height.runs.chain.entry import Part, chain_of
 from sal_height.runs.chain.replay_parameters import ReplayPlan, processing_of
 from sal_height.runs.chain.stage_run import Fed, StageRun
@@ -209,7 +208,7 @@ class BagRun(StageRun):
         messages = self._chosen()
         if doing:
             topics = (self._reader.topics[_topic_of(port)] for port in self._topics if self._has(port))
-            messages = tqdm(messages, total=sum(topic.count for topic in topics), unit="message", desc=doing)
+            messages = Bar(messages, total=sum(topic.count for topic in topics), unit="message", desc=doing)
         for recorded in messages:
             yield from self._announced(chain, recorded.log_time_ns)
             yield from self._feed(chain, recorded.topic.lstrip("/"), recorded, fed)

@@ -11,8 +11,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
 
-from tqdm import tqdm
-
 from sal_height import messages
 from sal_height.bag import qos
 from sal_height.bag.described import FRAMES
@@ -25,6 +23,7 @@ from sal_height.graph.catalogue import HEIGHTS, TRACKER, suited
 from sal_height.graph.reporting import PARAMETERS, PRESET, SEED, merged
 from sal_height.messages.flight import FlightMessage, dwell_messages, first_messages
 from sal_height.nodes.playing.playlist import Playlist
+from sal_height.progress import Bar
 from sal_height.runs.chain.entry import contents
 from sal_height.runs.chain.recorded_parameters import recorded_parameters
 from sal_height.runs.truth.simulate import parameters_of_flight
@@ -32,8 +31,6 @@ from sal_height.sensor import Sensor
 from sal_height.simulation import Preset, SimulatedFlight, flight_of
 from sal_height.topics import MAP_ORIGIN, ODOMETRY, SENSOR_INFO
 from sal_height.workers.processes import Forked, run_in_copy
-
-tqdm.monitor_interval = 0  # no thread that refreshes slow bars: it would prevent `workers.processes.Forked`
 
 
 @dataclass(frozen=True)
@@ -120,7 +117,7 @@ def record_sensor(preset: Preset, seed: int, folder: Path) -> Path:
                 bag.write(f"/{topic}", messages.serialize(message), stamp_ns, stamp_ns)
 
         write(first_messages(flight, start_ns))
-        for dwell in tqdm(range(preset.dwells), unit="dwell", desc="simulating"):
+        for dwell in Bar(range(preset.dwells), unit="dwell", desc="simulating"):
             write(dwell_messages(flight, dwell, start_ns))
     return folder
 

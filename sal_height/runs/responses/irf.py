@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from tqdm import tqdm
 
 from sal_height.errors import UserError
 from sal_height.io import check_new_folder, new_folder, or_null, write_text, writing
+from sal_height.progress import Bar
 from sal_height.response import CutResponse, ImpulseResponse, chip_around, measure_brightest, measure_windows
 from sal_height.response.image import AXES, Image, image_name
 from sal_height.runs.responses.images import images_of
@@ -56,7 +56,7 @@ def irf(
     entries: list[dict[str, Any]] = []
     targets: list[DrawnTarget] = []
     images = (image for path in paths for image in images_of(path, dwell, channel, azimuth_axis, jobs))
-    for image in tqdm(images, desc="irf", unit=" image", delay=1, leave=False):
+    for image in Bar(images, desc="irf", unit=" image", delay=1, leave=False):
         try:
             response = measure_brightest(image.pixels, near)
         except UserError as error:

@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from tqdm import tqdm
 
 from sal_height.errors import UserError
 from sal_height.io import check_new_folder, new_folder, or_null, write_text, writing
 from sal_height.numeric import Complex, frequencies
+from sal_height.progress import Bar
 from sal_height.response import (
     LONG_CHIPS,
     NOISE_UNKNOWN,
@@ -71,11 +71,11 @@ def psf(
     check_new_folder(out)
     groups: dict[int | None, list[Image]] = {}
     images = (image for path in paths for image in images_of(path, dwell, channel, azimuth_axis, jobs))
-    for image in tqdm(images, desc="psf: reading", unit="image", delay=1, leave=False):
+    for image in Bar(images, desc="psf: reading", unit="image", delay=1, leave=False):
         groups.setdefault(image.channel, []).append(image)
     settings = settings or PsfSettings()
     entries, reports = [], []
-    for number, group in tqdm(groups.items(), desc="psf", delay=1, leave=False):
+    for number, group in Bar(groups.items(), desc="psf", delay=1, leave=False):
         powers = [image.noise_power if noise_power is None else noise_power for image in group]
         known = [power for power in powers if power is not None]
         try:

@@ -6,8 +6,6 @@ from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
 from typing import Any
 
-from tqdm import tqdm
-
 from sal_height.bag.reader import BagMessage
 from sal_height.engine.chain import Chain, Made
 from sal_height.engine.compression import SENSOR
@@ -15,6 +13,7 @@ from sal_height.engine.stage import FOREVER_NS
 from sal_height.messages import serialize
 from sal_height.messages.flight import FlightMessage, dwell_messages, first_messages
 from sal_height.messages.kinds import kind_of_topic
+from sal_height.progress import Bar
 from sal_height.runs.chain.chain_runs import COMPRESSION
 from sal_height.runs.chain.stage_run import Fed, StageRun
 from sal_height.simulation import SimulatedFlight
@@ -57,7 +56,7 @@ class FlightRun(StageRun):
         yield from chain.start(self.begin_ns)
         yield from self._feed(chain, first_messages(self._flight, self.begin_ns), self.begin_ns, fed)
         yield from chain.nothing_before(TF_STATIC, FOREVER_NS)
-        for dwell in tqdm(range(self._flight.dwells), unit="dwell", desc=doing, disable=not doing):
+        for dwell in Bar(range(self._flight.dwells), unit="dwell", desc=doing, disable=not doing):
             end_ns = self.begin_ns + self._flight.dwell_end_ns(dwell)
             yield from self._feed(chain, dwell_messages(self._flight, dwell, self.begin_ns), end_ns, fed)
             next_ns = self.begin_ns + self._flight.dwell_start_ns(dwell) + 1

@@ -33,6 +33,7 @@ from sal_height.graph.reporting import PARAMETERS, PRESET, RELIEF_MAP, SEED, con
 from sal_height.imaging import STANDARD_AIR, VACUUM
 from sal_height.io import new_folder, write_text, writing
 from sal_height.messages import AIR
+from sal_height.precompile import precompile
 from sal_height.runs.chain.recording import jobs_without_ros, perform_by_calls
 from sal_height.runs.truth.flight_run import FlightRun
 from sal_height.runs.truth.report import Accuracy, read_accuracy, read_images
@@ -125,6 +126,7 @@ def fly(
         published = [*SENSOR, *air, *([MAP_ORIGIN] if flight.scene.origin else [])]
         topics = recorded_topics(stages, values, published)
         plan = Plan("simulator", stages, topics, bag, nodes, preset.dwells, custom_data, published, simulated_time=True)
+        precompile()
         outcome = _perform(plan, execution, flight, jobs)
         conclude(outcome, values, report)
         report["relief_map"] = RELIEF_MAP if (folder / RELIEF_MAP).is_file() else None

@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from tqdm import tqdm
 
 from sal_height import messages
 from sal_height.beams import Beams, column_squint
@@ -20,6 +19,7 @@ from sal_height.imaging import Processing, azimuth_resolution, image_beams
 from sal_height.io import or_null
 from sal_height.messages.types import HeightImage
 from sal_height.numeric import F64, Bool, Index, error_statistics, fraction_of, mean_of
+from sal_height.progress import Bar
 from sal_height.relief import HeightField
 from sal_height.runs.truth.comparison import (
     FOUND_ORDERS,
@@ -165,7 +165,7 @@ def judged(images: Sequence[HeightImage], flight: SimulatedFlight, surfaces: Map
     size = float(max(spacing.row_spacing / np.sin(track.look_angle_rad), spacing.col_spacing)) * CELL_PIXELS
     tolerance = float(TOLERANCE_BEAMWIDTHS * across)
     comparisons, seen, bounds = [], [], []
-    for image in tqdm(images, desc=f"truth of {images[0].estimator}", unit="image", delay=1, leave=False):
+    for image in Bar(images, desc=f"truth of {images[0].estimator}", unit="image", delay=1, leave=False):
         field, published_as = messages.field_from_message(image), messages.aperture_from_message(image.aperture)
         flown, aperture = as_flown(field, published_as, flight, image.dwell)
         range_window, azimuth_window = (

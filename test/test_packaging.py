@@ -90,8 +90,11 @@ def test_everywhere_the_same_versions_of_python() -> None:
     lowest, beyond = map(int, re.findall(r'python_requires=">=3\.(\d+),<3\.(\d+)"', setup)[0])
     named = re.findall(r"for minor in \(([\d, ]+)\)", setup)[0]
     assert [int(minor) for minor in named.split(",")] == list(range(lowest, beyond))
-    workflow = (ROOT / ".github" / "workflows" / "test.yml").read_text()
-    assert re.findall(r'"3\.(\d+)"', workflow) == [str(minor) for minor in range(lowest, beyond)]
+    minors = ", ".join(f'"3.{minor}"' for minor in range(lowest, beyond))
+    tested = f"matrix: {{ python: [{minors}] }}"
+    workflow, release = ((ROOT / ".github" / "workflows" / f"{name}.yml").read_text() for name in ("test", "release"))
+    assert tested in workflow
+    assert tested in release
     assert all(f"- run: make {goal}" in workflow for goal in ("demo", "test"))
     recipe = tomllib.loads((ROOT / "msg_defs" / "pyproject.toml").read_text())
     assert recipe["project"]["requires-python"] == f">=3.{lowest},<3.{beyond}"
@@ -154,7 +157,8 @@ def test_a_wheel_holds_all_that_programs_and_ros_read(tmp_path: Path) -> None:
     held = {name.partition(".data/data/")[2] or name for name in ZipFile(wheel).namelist()}
     package = ROOT / "sal_height"
     read = [path for name in ("config", "launch", "presets") for path in (package / name).iterdir()]
-    assert {str(path.relative_to(ROOT)) for path in [*read, package / "messages" / "definitions.json"]} <= held
+    files = [*read, package / "kernel_types.txt", package / "messages" / "definitions.json"]
+    assert {str(path.relative_to(ROOT)) for path in files} <= held
     assert {"sal_height/py.typed", "sal_height/messages/types.pyi"} <= held
     shared = [path for path in read if path.parent.name != "presets"]
     assert {f"share/{path.relative_to(ROOT)}" for path in shared} <= held

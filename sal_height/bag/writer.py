@@ -385,7 +385,7 @@ class BagWriter:
     def _write_metadata(self) -> None:
         information = {"rosbag2_bagfile_information": self._metadata(self._finished)}
         unfinished = self.directory / "metadata.yaml.tmp"
-        unfinished.write_text(yaml_text(information, sort_keys=False))
+        unfinished.write_text(yaml_text(information, sort_keys=False), encoding="utf-8")
         unfinished.replace(self.directory / "metadata.yaml")
 
     def _metadata(self, files: Sequence[Written]) -> dict[str, Any]:

@@ -94,8 +94,9 @@ def _commands() -> Iterator[App]:
 def _interrupt_on_termination() -> None:
     """Let SIGTERM and SIGHUP end a command as Ctrl-C does; a SIGHUP that `nohup` ignores stays ignored."""
     signal.signal(signal.SIGTERM, signal.default_int_handler)
-    if signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:
-        signal.signal(signal.SIGHUP, signal.default_int_handler)
+    hangup = getattr(signal, "SIGHUP", None)  # Windows has none
+    if hangup is not None and signal.getsignal(hangup) != signal.SIG_IGN:
+        signal.signal(hangup, signal.default_int_handler)
 
 
 def _cut_off() -> int:

@@ -69,12 +69,12 @@ def view(
         raise UserError("Option --port is of the page that --web serves; give --web, too.")
     with importing():
         from sal_height.bag.reader import BagReader
-        from sal_height.nodes.transport.domain import ros_domain
-        from sal_height.view.listener import Listener
         from sal_height.view.screen import file_screen, page_screen, window_screen
         from sal_height.view.show import Recorded, show_bag, show_live, wait_for_interrupt
 
     if bag is None:
+        from sal_height.view.listener import Listener
+
         os.nice(10)  # the viewer, too, yields to the nodes
     recorded = None if bag is None else Recorded(BagReader(bag), namespace)
     how = ("live graph", history) if bag is None else (bag_name(bag), math.inf)
@@ -87,6 +87,8 @@ def view(
         else:
             screen = stack.enter_context(window_screen(memory_mb, *how))
         if recorded is None:
+            from sal_height.nodes.transport.domain import ros_domain
+
             stack.enter_context(ros_domain("environment" if domain is None else domain))
             queue_bytes = 64_000_000  # memory of messages that wait to be shown
             listener = stack.enter_context(Listener(namespace, queue_bytes))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from sal_height.bag.reader import LogTimes
 from sal_height.engine.compression import SENSOR
@@ -15,7 +15,9 @@ from sal_height.errors import Rejected, UserError
 from sal_height.geometry import Mounting
 from sal_height.graph.catalogue import NodeParameters
 from sal_height.nodes.accounts.account import Account
-from sal_height.nodes.transport.domain import DomainChoice
+
+if TYPE_CHECKING:
+    from sal_height.nodes.transport.domain import DomainChoice  # which needs locks of POSIX
 
 RECORDER = "recorder"
 

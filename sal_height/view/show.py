@@ -8,15 +8,18 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
+from typing import TYPE_CHECKING
 
 from sal_height.bag.reader import BagReader
 from sal_height.errors import Rejected, UserError
 from sal_height.messages import MAP_FRAME, field_from_message
 from sal_height.view.drawings import Note, ReceivedMessage, Sheet, Spans
-from sal_height.view.listener import Listener
 from sal_height.view.painter import COMPLEX_IMAGE, DIAGNOSTICS, HEIGHT_IMAGE, Painter, Subject, estimator_of, is_shown
 from sal_height.view.screen import Screen
 from sal_height.workers.processes import Interruption
+
+if TYPE_CHECKING:
+    from sal_height.view.listener import Listener  # which needs ROS
 
 SKIPPED = "messages/view"
 """Path of the log of what was left out here."""

@@ -9,6 +9,7 @@ import multiprocessing
 import os
 import signal
 import socket
+import sys
 import time
 import traceback
 from collections.abc import Callable, Mapping
@@ -20,6 +21,12 @@ from sal_height.workers.arena import Arena
 from sal_height.workers.processes import Forked, end_with_parent, name_process
 from sal_height.workers.sending import Worker
 from sal_height.workers.serving import serve
+
+
+def can_keep_workers() -> bool:
+    """True where workers can start as copies of this process and end with it: by fork(2) and prctl(2), on Linux."""
+    return sys.platform.startswith("linux") and hasattr(os, "fork")
+
 
 RESTART_S = 0.1
 """Time from the end of a worker to the start of the next one, s."""

@@ -28,8 +28,8 @@ ONE_THREAD = {"SAL_HEIGHT_THREADS": "1", **ONE_BLAS_THREAD}
 PR_SET_PDEATHSIG, PR_SET_NAME = 1, 15
 """Options of prctl (Linux): the signal that a process gets when the one that started it ends; its name in lists."""
 
-ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-"""Signals that ask a process to end."""
+ENDING = tuple(signal.Signals[name] for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
+"""Signals that ask a process to end; Windows has no SIGHUP."""
 
 
 def use_one_thread() -> None:
@@ -46,9 +46,10 @@ def use_one_blas_thread() -> None:
 
 
 def prepare_for_messages() -> None:
-    """Have this process, and those that it starts, exchange many large messages at little cost (Linux)."""
-    _wake_without_preempting()
-    _keep_freed_memory()
+    """Have this process, and those that it starts, exchange many large messages at little cost; on Linux."""
+    if sys.platform.startswith("linux"):
+        _wake_without_preempting()
+        _keep_freed_memory()
 
 
 def _wake_without_preempting() -> None:
@@ -57,7 +58,7 @@ def _wake_without_preempting() -> None:
     Messages wake the threads that receive them. One that takes the processor from the thread that publishes goes to
     sleep again after each message; one that waits for a few milliseconds finds several messages, and wakes once.
     """
-    if hasattr(os, "SCHED_BATCH"):
+    if hasattr(os, "sched_setscheduler"):
         with suppress(OSError):  # a container may not allow it
             os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
 
@@ -262,9 +263,8 @@ class Interruption:
             raise KeyboardInterrupt
 
     def __enter__(self) -> Self:
-        numbers = [signal.SIGINT, signal.SIGTERM]
-        if signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:
-            numbers.append(signal.SIGHUP)
+        hangup = getattr(signal, "SIGHUP", None)
+        numbers = [number for number in ENDING if number != hangup or signal.getsignal(number) != signal.SIG_IGN]
         self._before = {number: signal.signal(number, self._ask) for number in numbers}
         return self
 

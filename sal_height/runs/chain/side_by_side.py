@@ -8,7 +8,6 @@ large arrays stay in memory that all processes share.
 
 from __future__ import annotations
 
-import multiprocessing
 from collections import deque
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
@@ -24,7 +23,7 @@ from sal_height.engine.results import Product, Result
 from sal_height.engine.stage import Job, Stage
 from sal_height.errors import UserError
 from sal_height.workers.arena import Arena
-from sal_height.workers.keeper import Keeper, Spawned, no_shared_memory
+from sal_height.workers.keeper import Keeper, Spawned, can_keep_workers, no_shared_memory
 from sal_height.workers.sending import BYTES_TOGETHER, MEMORY_BYTES, Sender, Worker
 from sal_height.workers.serving import Batch
 
@@ -73,14 +72,14 @@ class SideBySide(Chain):
     def _start(self) -> None:
         """Start the workers.
 
-        Forked ones start with all that this process has loaded and all tables that it has made. Where there is no fork,
+        Forked ones start with all that this process has loaded and all tables that it has made. Elsewhere than on Linux
         they are spawned with a copy of the stages, and arrays are sent through pipes.
 
         Raises:
             UserError: they cannot be started.
         """
         stages = {stage.name: stage for stage in self._remote}
-        forks = "fork" in multiprocessing.get_all_start_methods()
+        forks = can_keep_workers()
         try:
             arena = Arena(MEMORY_BYTES) if forks else no_shared_memory()
             self._sender = Sender(arena)

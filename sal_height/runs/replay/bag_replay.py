@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from importlib.util import find_spec
@@ -17,6 +18,9 @@ from sal_height.bag.played import LOCKSTEP, PACED
 from sal_height.bag.reader import BagReader
 from sal_height.bag.tolerance import ROUNDING, Tolerances
 from sal_height.bag.topics import FRAME_TYPE, HEIGHT_TYPE, IMAGE_TYPE, ODOMETRY_TYPE, SENSOR_TYPE
+from sal_height.engine.height_items import Heights
+from sal_height.engine.mapper import PlacedRelief
+from sal_height.engine.registry import STAGES
 from sal_height.errors import UserError
 from sal_height.graph.catalogue import HEIGHTS, TRACKER, NodeParameters, consumers, recorded_topics
 from sal_height.graph.plan import DEFAULT, Execution, Outcome, Plan
@@ -205,28 +209,32 @@ def _names_of(rule: str) -> tuple[str, str]:
     Raises:
         UserError: it has another form.
     """
-    from rclpy.exceptions import InvalidTopicNameException  # noqa: PLC0415 (replays without rules need no ROS)
-    from rclpy.validate_full_topic_name import validate_full_topic_name  # noqa: PLC0415
-
-    names = rule.split(":=")
-    try:
-        old, new = (name if name.startswith("/") else f"/{name}" for name in names)
-        validate_full_topic_name(old)
-        validate_full_topic_name(new)
-    except (ValueError, InvalidTopicNameException) as error:
+    names = [name if name.startswith("/") else f"/{name}" for name in rule.split(":=")]
+    if len(names) != 2 or not all(map(_TOPIC.fullmatch, names)):
         raise UserError(
             f"Option --remap is {rule!r}; it must be of the form OLD:=NEW with names of topics, for example "
             "/radar/raw:=phase_history."
-        ) from error
-    return old, new
+        )
+    return names[0], names[1]
+
+
+_TOPIC = re.compile(r"(?=.{1,247}$)(/[A-Za-z_][A-Za-z0-9_]*)+")
+"""Name of a topic with its namespace (https://design.ros2.org/articles/topic_and_service_names.html)."""
 
 
 def _topics_of(played: Sequence[str], stages: Collection[str]) -> set[str]:
     """The topics of the nodes of a replay but those of ROS itself, such as /clock."""
-    from sal_height.graph.node_classes import NODES  # noqa: PLC0415 (replays without rules need no ROS)
+    kinds = [STAGES[stage] for stage in stages]
+    named = {port.name for kind in kinds for port in (*kind.described_inputs(), *kind.described_outputs())}
+    viewed = {
+        port.name.rpartition("/")[0] for kind in kinds for port in kind.described_outputs() if port.kind in VIEWED
+    }
+    views = {f"{prefix}/{view}" for prefix in viewed for view in ("image", "points", "frame")}
+    return {*played, CALIBRATION, *views, *(topic for topic in named if not topic.startswith(("/", "<")))}
 
-    named = {topic for stage in stages for topic in (*NODES[stage].inputs, *NODES[stage].outputs)}
-    return {*played, CALIBRATION, *(topic for topic in named if not topic.startswith(("/", "<")))}
+
+VIEWED = (Heights, PlacedRelief)
+"""Products of which nodes publish pictures and points."""
 
 
 @dataclass(frozen=True)

@@ -21,5 +21,8 @@ MAP_ORIGIN = "map_origin"
 LOSSES = "losses"
 """Dwells that nodes left out, and why."""
 
+TF = "/tf"
+"""Transforms of frames that move; of no namespace."""
+
 TF_STATIC = "/tf_static"
 """Transforms that do not change; of no namespace."""

@@ -15,7 +15,7 @@ from tools.reference import messages, topics
 from tools.reference.pages import DOCS, PAGES
 
 OF_ROS = {"/parameter_events", "/rosout", "/tf"}
-"""Topics that ROS gives to nodes, and /tf, which heights are also on where there is tf2_msgs."""
+"""Topics that ROS gives to nodes, and /tf, which the frames of points are also on."""
 
 
 @pytest.mark.parametrize(("file", "document"), PAGES.items(), ids=[path.name for path in PAGES])

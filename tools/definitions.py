@@ -35,18 +35,15 @@ TAKEN = (
     "sensor_msgs/msg/PointCloud2",
     "sensor_msgs/msg/RelativeHumidity",
     "sensor_msgs/msg/Temperature",
+    "tf2_msgs/msg/TFMessage",
 )
 """Types of ROS that the package reads and writes, but for those that they contain."""
-
-TFMESSAGE = "tf2_msgs/msg/TFMessage", "geometry_msgs/TransformStamped[] transforms\n"
-"""A type that ROS's packages on PyPI do not have, and its text."""
 
 
 def texts() -> dict[str, str]:
     """The text of every type by its name: ours, those taken, and what these contain."""
     files = (ROOT / "msg_defs" / "msg").glob("*.msg")
     found = {f"{OWN}/msg/{file.stem}": file.read_text(encoding="utf-8") for file in files}
-    found[TFMESSAGE[0]] = TFMESSAGE[1]
     waiting = [*found, *TAKEN]
     while waiting:
         name = waiting.pop()

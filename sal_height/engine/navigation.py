@@ -67,6 +67,12 @@ class NavigationSettings(FrameSettings, MapOriginSettings, StageSettings):
         maximum=100.0,
         read_only=True,
     )
+    publish_tf: bool = setting(
+        False,
+        "publish the frame of the platform in the map on /tf, from the odometry; true only where the platform's own "
+        "software does not",
+        read_only=True,
+    )
     velocity: str = setting(
         "twist",
         "source of the velocity: twist is topic platform/twist, positions are differences of positions",

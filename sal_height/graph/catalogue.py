@@ -16,7 +16,7 @@ from sal_height.geometry import Origin
 from sal_height.renamed import with_new_names
 from sal_height.sensor import Sensor
 from sal_height.settings import Settings, settings_of, unknown_name
-from sal_height.topics import CALIBRATION, LOSSES, PHASE_HISTORY, SLC
+from sal_height.topics import CALIBRATION, LOSSES, ODOMETRY, PHASE_HISTORY, SENSOR_INFO, SLC, TF, TF_STATIC
 
 HEIGHTS = {name: product for name, stage in STAGES.items() if (product := product_of(stage))}
 """Stages whose products are height images, and the prefix of their topics."""
@@ -165,14 +165,33 @@ def recorded_topics(stages: list[str], parameters: NodeParameters, played: Seque
     """The topics that a run through `stages` records: its inputs, and its heights, or else its images.
 
     Images are left out if there are heights, for they can be formed again from the phase history; so is the relief map,
-    which follows from the heights.
+    which follows from the heights. For viewers that do not know our messages, heights are recorded as pictures and
+    points, too, with the frames of these, of the platform and of the sensor.
     """
-    heights = [f"{HEIGHTS[name]}/height" for name in stages if name in HEIGHTS]
+    products = [HEIGHTS[name] for name in stages if name in HEIGHTS]
+    heights = [f"{product}/height" for product in products]
     applied = parameters.get("sar_compression", {}).get("calibration", "") not in {"", HEARD}
     calibration = [CALIBRATION] if applied else []
     odometry = [ADJUSTED_ODOMETRY] if ADJUSTER in stages else []
     found = [MOVERS] if DETECTOR in stages else []
-    return [*played, "diagnostics", LOSSES, *calibration, *(heights or [SLC]), *odometry, *found]
+    return [
+        *played,
+        "diagnostics",
+        LOSSES,
+        *calibration,
+        *(heights or [SLC]),
+        *odometry,
+        *found,
+        *_views(products, played),
+    ]
+
+
+def _views(products: Sequence[str], played: Sequence[str]) -> list[str]:
+    """The topics for viewers: pictures and points of products, and the frames that are known."""
+    views = [f"{product}/{view}" for product in products for view in ("image", "points")]
+    moving = [TF.lstrip("/")] if products or ODOMETRY in played else []
+    fixed = [TF_STATIC.lstrip("/")] if SENSOR_INFO in played else []
+    return [*views, *moving, *fixed]
 
 
 def height_sources(stages: list[str], parameters: NodeParameters, played: Sequence[str] = SENSOR) -> dict[str, str]:

@@ -34,6 +34,11 @@ MOVER_FIELDS = (
 the other fields of `movers.Mover` (m/s, NaN where not known; 0 or 1 for walks; dB)."""
 
 
+def origin_frame(product: str, namespace: str = "/") -> str:
+    """Name of the frame near the points of a product, such as "ml", of a node in a namespace."""
+    return "_".join([*namespace.split("/"), product, "origin"]).strip("_")
+
+
 def height_picture(item: Heights) -> Image:
     """The heights of the first surface as a 32FC1 image, NaN where they are not valid."""
     header = header_of(item.key.stamp_ns, item.frame_id)

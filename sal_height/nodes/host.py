@@ -38,11 +38,11 @@ from sal_height.nodes.polled import PERIOD_S, SHORTEST_QUEUE, PolledOdometry
 from sal_height.nodes.pooled import PooledJobs
 from sal_height.nodes.transport.endpoints import Inlet, Outlet
 from sal_height.nodes.transport.log import log_warning
-from sal_height.nodes.transport.message_types import has_transforms
 from sal_height.nodes.transport.qos import FRAMES_QOS, INSTRUMENT_QOS, LATCHED_QOS, ODOMETRY_QOS, TF_STATIC_QOS
 from sal_height.nodes.transport.services import ENDING, Said
-from sal_height.nodes.viewing import VIEWERS, view_topics
+from sal_height.nodes.viewing import VIEWERS, OdometryViewer, view_topics
 from sal_height.nodes.worker import ENDED, WorkerNode
+from sal_height.settings import settings_of
 from sal_height.stage_files import check_written, read_inputs, write_product
 from sal_height.topics import ODOMETRY
 from sal_height.workers.pool import Pool
@@ -154,6 +154,8 @@ class StageNode(WorkerNode):
                 self.joinable_outlets.append((port, self._outlets[port.name][0]))
             if viewer := VIEWERS.get(port.kind):
                 self._viewers[port.name] = viewer(self, port)
+            elif getattr(settings, "publish_tf", False) and port.name == ODOMETRY:
+                self._viewers[port.name] = OdometryViewer(self)
         self._inlets_of = {port.name: self._listen_to(port, settings) for port in self.stage_class.inputs(settings)}
         if isinstance(self.stage, Compression) and self._inlets_of[ODOMETRY].depth >= SHORTEST_QUEUE:
             timer = self.every(PERIOD_S, self.receive_polled)
@@ -162,11 +164,6 @@ class StageNode(WorkerNode):
     def _listen_to(self, port: Port, settings: Any) -> Any:
         """Subscribe to a port; what cannot be read is counted under the name of its kind."""
         kind = kind_of(port)
-        if port.kind is StaticTransform and not has_transforms():
-            raise UserError(
-                "Parameter mounting_from_tf needs the package tf2_msgs, which a ROS installation has and PyPI has not; "
-                "source the installation, or state the mounting in sensor_info."
-            )
 
         def accept(item: Any, complete_s: float | None = None) -> None:
             if not port.counted or self.takes(count_messages(item)):
@@ -465,12 +462,13 @@ def node_of(stage: type[Stage], *, settable: bool = True) -> type[StageNode]:
     inputs, outputs = stage.inputs(settings), stage.described_outputs()
     heights = next((port.name.removesuffix("/height") for port in outputs if port.kind is Heights), "")
     takes_heights = any(port.kind is Heights for port in inputs)
+    frame_topics = OdometryViewer.topics if "publish_tf" in settings_of(stage.settings) else {}
     attributes = {
         "stage_class": stage,
         "parameters": stage.settings,
         "niceness": stage.niceness,
         "inputs": _described(stage.described_inputs()),
-        "outputs": {**_described(outputs), **view_topics(outputs)},
+        "outputs": {**_described(outputs), **view_topics(outputs), **frame_topics},
         "answers": {**WorkerNode.answers, **{f"~/{name}": about for name, about in stage.commands.items()}},
         "product": heights,
         "takes_images": any(port.name == "slc" for port in inputs),

@@ -5,11 +5,12 @@ from __future__ import annotations
 from typing import Any, ClassVar
 
 from sal_height import messages
-from sal_height.engine.stage import FOREVER_NS, StageSettings
+from sal_height.engine.stage import FOREVER_NS
 from sal_height.messages.flight import dwell_messages, first_messages
 from sal_height.messages.types import ChannelFrame, NavSatFix, Odometry, SensorInfo
 from sal_height.nodes.accounts.account import DWELLS
 from sal_height.nodes.managed import INACTIVE, SENSOR_TOPICS, Topics
+from sal_height.nodes.platform_frames import FRAME_TOPICS, PlatformFrames, SourceSettings
 from sal_height.nodes.program import run_node
 from sal_height.nodes.transport.qos import LATCHED_QOS, ODOMETRY_QOS
 from sal_height.nodes.worker import RESET, WorkerNode
@@ -18,7 +19,7 @@ from sal_height.simulation import flight_of, load_preset
 from sal_height.topics import MAP_ORIGIN, ODOMETRY, PHASE_HISTORY, SENSOR_INFO
 
 
-class SimulatorSettings(StageSettings):
+class SimulatorSettings(SourceSettings):
     """Parameters of the node."""
 
     preset: str = setting("sal_spotlight", "name of a preset, or path of its YAML file", read_only=True)
@@ -47,6 +48,7 @@ class Simulator(WorkerNode):
         **SENSOR_TOPICS,
         MAP_ORIGIN: "position of the origin of the map frame on the earth, sensor_msgs/NavSatFix, latched",
         **dict.fromkeys(messages.AIR, "what a probe on the platform measures, if the preset has air"),
+        **FRAME_TOPICS,
     }
     answers: ClassVar[Topics] = {**RESET, "~/step": "simulate and publish the next dwell"}
 
@@ -70,8 +72,9 @@ class Simulator(WorkerNode):
             MAP_ORIGIN: self.offer(NavSatFix, MAP_ORIGIN, LATCHED_QOS),
             **{topic: self.offer(one.message_type, topic, ODOMETRY_QOS) for topic, one in messages.AIR.items()},
         }
+        self._tf = PlatformFrames(self)
         for topic, message, _ in first_messages(self.flight, self._start_ns):
-            self._outlets[topic].publish(message)
+            self._publish(topic, message)
         self.serve("~/step", self.step)
         if parameters.period_s > 0:
             self.every(parameters.period_s, self._begin_dwell, self.get_clock())
@@ -102,11 +105,16 @@ class Simulator(WorkerNode):
     def _publish_dwell(self, dwell: int) -> int:
         frames = 0
         for topic, message, stamp_ns in dwell_messages(self.flight, dwell, self._start_ns):
-            self._outlets[topic].publish(message)
+            self._publish(topic, message)
             if topic == PHASE_HISTORY:
                 frames, self._published_ns = frames + 1, stamp_ns
         self.tally.note(DWELLS)
         return frames
+
+    def _publish(self, topic: str, message: Any) -> None:
+        """Publish a message, and the frames that follow from it."""
+        self._outlets[topic].publish(message)
+        self._tf.follow(topic, message)
 
 
 def main() -> int:

@@ -3,27 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 from sal_height.engine.height_items import Heights
 from sal_height.engine.mapper import PlacedRelief
 from sal_height.engine.stage import Port
-from sal_height.messages import views
+from sal_height.geometry import PlatformState
+from sal_height.messages import state_to_message, to_stamp, views
+from sal_height.messages.transforms import platform_transform
 from sal_height.messages.types import Image, PointCloud2, TFMessage, TransformStamped
 from sal_height.nodes.managed import Topics
-from sal_height.nodes.transport.message_types import has_transforms
-from sal_height.nodes.transport.qos import FRAMES_QOS, LATCHED_QOS, TF_QOS
+from sal_height.nodes.transport.qos import FRAMES_QOS, LATCHED_QOS, ODOMETRY_QOS
 from sal_height.nodes.worker import WorkerNode
-
-TF = "/tf"
-"""Topic of the frames that move, of all nodes in whatever namespace."""
+from sal_height.topics import TF
 
 
 class _Points:
     """Points and a picture of a product, and the frame near them that the points are relative to.
 
     Single precision has 4 mm at 50 km. The frame is that of the namespace and the prefix; it is elsewhere with every
-    cloud, and is on /tf too where there is TF.
+    cloud, and is on /tf too.
     """
 
     picture_about: str
@@ -34,11 +33,11 @@ class _Points:
     def __init__(self, node: WorkerNode, port: Port) -> None:
         """Offer the topics of the views of a port of a node."""
         prefix = port.name.rpartition("/")[0]
-        self._name = "_".join([*node.get_namespace().split("/"), prefix, "origin"]).strip("_")
+        self._name = views.origin_frame(prefix, node.get_namespace())
         self._picture = node.offer(Image, f"{prefix}/image", self.qos)
         self._points = node.offer(PointCloud2, f"{prefix}/points", self.qos)
         self._frame = node.offer(TransformStamped, f"{prefix}/frame", self.qos)
-        self._tf = node.offer(TFMessage, TF, TF_QOS) if has_transforms() else None
+        self._tf = node.offer(TFMessage, TF, ODOMETRY_QOS)
 
     @classmethod
     def topics(cls, port: Port) -> Mapping[str, str]:
@@ -69,8 +68,7 @@ class _Points:
             return
         frame, points = self.placed_points(item, self._name)
         self._frame.publish(frame)
-        if self._tf:
-            self._tf.publish(TFMessage(transforms=[frame]))
+        self._tf.publish(TFMessage(transforms=[frame]))
         self._points.publish(points)
 
 
@@ -110,6 +108,24 @@ class ReliefViewer(_Points):
     def placed_points(self, item: PlacedRelief, name: str) -> tuple[Any, Any]:
         """The cells that were seen."""
         return views.relief_points(item, name)
+
+
+class OdometryViewer:
+    """The frame of the platform in the map, on /tf, made while somebody subscribes."""
+
+    topics: ClassVar[Topics] = {TF: "frame of the platform in the map, if the parameter publish_tf is true"}
+
+    def __init__(self, node: WorkerNode) -> None:
+        """Offer the topic of a node."""
+        self._node = node
+        self._tf = node.offer(TFMessage, TF, ODOMETRY_QOS)
+
+    def publish(self, item: PlatformState) -> None:
+        """Publish the frame, if there is a subscription."""
+        self._tf.publish_if_heard(lambda: platform_transform(self._odometry(item)))
+
+    def _odometry(self, item: PlatformState) -> Any:
+        return state_to_message(item, to_stamp(item.stamp_ns), self._node.current_parameters().frames)
 
 
 VIEWERS: Mapping[type, Any] = {Heights: HeightViewer, PlacedRelief: ReliefViewer}

@@ -32,13 +32,12 @@ from sal_height.messages.parameters import parameter_of, shared_parameter
 from sal_height.messages.programs import SHARED
 from sal_height.nodes.transport import message_types
 from sal_height.nodes.transport.message_types import class_of, message_class
-from tools.definitions import FILE, TFMESSAGE, content
+from tools.definitions import FILE, content
 
 PROVENANCE, PARAMETER = "sal_height_msgs/msg/Provenance", "rcl_interfaces/msg/Parameter"
 
 ROOT = Path(__file__).parents[2]
-INSTALLED = sorted(name for name in shipped_texts() if name != TFMESSAGE[0])
-"""tf2_msgs is not on PyPI."""
+INSTALLED = sorted(shipped_texts())
 
 WITH_FIELDS = [name for name in INSTALLED if not name.endswith("/ParameterType")]
 

@@ -5,25 +5,19 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-import pytest
 from chain_fixture import DETECTORS, START_NS, Chain, StageChain, same_heights
 from helpers import publisher_of
 from rclpy.node import Node
-from rclpy.parameter import Parameter
 from scipy.spatial.transform import Rotation
 
 from sal_height import messages
-from sal_height.errors import UserError
 from sal_height.geometry import Mounting
 from sal_height.messages.types import HeightImage, Quaternion, SensorInfo, TFMessage, TransformStamped, Vector3
-from sal_height.nodes.processing import PROCESSING
 from sal_height.nodes.transport.graph import Graph
-from sal_height.nodes.transport.message_types import has_transforms
 from sal_height.nodes.transport.qos import TF_STATIC_QOS
 from sal_height.simulation import SimulatedFlight
 
 IMAGE = {"rows": 46, "cols": 12}
-NEEDS_TF2 = "tf2_msgs is not on PyPI; a ROS installation has it"
 
 
 def transform(
@@ -35,14 +29,6 @@ def transform(
     turn = turn or Rotation.identity()
     made.transform.rotation = Quaternion(**dict(zip("xyzw", turn.as_quat().tolist(), strict=True)))
     return made
-
-
-@pytest.mark.skipif(has_transforms(), reason="there is a ROS installation with tf2_msgs")
-def test_without_tf2_msgs_the_node_says_what_is_missing(graph: Graph) -> None:
-    with pytest.raises(UserError, match="mounting_from_tf needs the package tf2_msgs"):
-        PROCESSING["sar_compression"](
-            context=graph.context, parameter_overrides=[Parameter("mounting_from_tf", value=True)]
-        )
 
 
 def mounted(flight: SimulatedFlight, mounting: Mounting) -> SensorInfo:
@@ -69,7 +55,6 @@ def test_heights_are_those_of_the_same_mounting_in_sensor_info(flight: Simulated
 
 
 def test_a_dwell_waits_for_the_frame_of_its_sensor(graph: Graph, flight: Any) -> None:
-    pytest.importorskip("tf2_msgs.msg", reason=NEEDS_TF2)
     chain = Chain(graph, flight, missing_after_s=3600.0, image={**IMAGE, "mounting_from_tf": True})
     chain.publish(chain.sensor_info(), *chain.odometry(0), *chain.frames(0))
     node = chain.stages["sar_compression"]

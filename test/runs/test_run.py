@@ -186,6 +186,32 @@ def test_rosbags_reads_the_heights_by_the_schema_in_the_bag(recorded: Path) -> N
         assert dwells == [0, 1]
 
 
+def test_foreign_readers_find_points_pictures_and_frames_in_the_bag(recorded: Path) -> None:
+    """The platform at every sample of odometry, the sensor, and each frame that points are in."""
+    with AnyReader([recorded / "bag"]) as reader:
+        kinds = {connection.topic: connection.msgtype for connection in reader.connections}
+        found: dict[str, list[Any]] = {topic: [] for topic in kinds}
+        sizes = dict.fromkeys(kinds, 0)
+        for connection, _, raw in reader.messages():
+            sizes[connection.topic] += len(raw)
+            found[connection.topic].append(reader.deserialize(raw, connection.msgtype))
+    assert kinds["/tf"] == kinds["/tf_static"] == "tf2_msgs/msg/TFMessage"
+    transforms = [one for message in found["/tf"] for one in message.transforms]
+    placed = [
+        one.header.stamp for one in transforms if (one.header.frame_id, one.child_frame_id) == ("map", "base_link")
+    ]
+    assert placed == [one.header.stamp for one in found["/platform/odometry"]]
+    ((fixed,),) = (message.transforms for message in found["/tf_static"])
+    assert (fixed.header.frame_id, fixed.child_frame_id) == ("base_link", "sensor")
+    for name in ("ml", "monopulse", "tracked"):
+        assert [(one.height, one.width) for one in found[f"/{name}/image"]] == [(46, 12)] * 2
+        frames = [one.header.stamp for one in transforms if one.child_frame_id == f"{name}_origin"]
+        assert [one.header.stamp for one in found[f"/{name}/points"]] == frames
+        assert {one.header.frame_id for one in found[f"/{name}/points"]} == {f"{name}_origin"}
+    views = sum(size for topic, size in sizes.items() if topic.endswith(("/image", "/points")) or topic == "/tf")
+    assert views < 0.25 * sizes["/phase_history"]
+
+
 def test_mcap_alone_finds_all_messages(recorded: Path) -> None:
     with (recorded / "bag" / "bag_0.mcap").open("rb") as stream:
         reader = make_reader(stream, validate_crcs=True)

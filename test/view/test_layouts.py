@@ -25,6 +25,7 @@ from rclpy.qos import (
 )
 
 import sal_height
+from sal_height.graph.catalogue import recorded_topics
 from sal_height.graph.node_classes import NODES
 from sal_height.messages import MAP_FRAME
 from sal_height.messages.codec import SHIPPED
@@ -124,10 +125,14 @@ def test_panels_of_foxglove_show_what_is_published(offered: Offers) -> None:
     assert set(scene["topics"]) == set(FIELDS)
     for topic, settings in scene["topics"].items():
         assert offered[topic][0] == CLOUD
-        assert offered[topic.replace("points", "frame")][0] == "geometry_msgs/msg/TransformStamped"
         assert settings["colorField"] in FIELDS[topic]
         assert settings["colorMode"] == "colormap"
+    assert offered["/tf"][0] == "tf2_msgs/msg/TFMessage"
     assert offered[image["imageMode"]["imageTopic"]][0] == IMAGE
+    shown = {topic for topic, settings in scene["topics"].items() if settings["visible"]}
+    shown |= {image["imageMode"]["imageTopic"], DIAGNOSTICS, "/tf"}
+    recorded = recorded_topics(["sar_compression", "ml_height", "relief_tracker"], {})
+    assert shown <= {f"/{topic}" for topic in recorded}, "a bag of a run would show nothing"
     assert summary["topicToRender"] == DIAGNOSTICS
     assert offered[DIAGNOSTICS][0] == "diagnostic_msgs/msg/DiagnosticArray"
 

@@ -19,8 +19,6 @@ from sal_height.graph.node_classes import NODES
 from sal_height.nodes.accounts.usage import ACCOUNTS, LEFT_OUT, LIFE_CYCLE
 from sal_height.nodes.transport.domain import free_domain
 from sal_height.nodes.transport.graph import Graph
-from sal_height.nodes.transport.qos import TF_STATIC_QOS
-from sal_height.topics import TF_STATIC
 from tools.reference.markdown import page, plain, table
 
 BAG = str(Path(__file__).parents[2] / "bags" / "version_3")
@@ -30,10 +28,10 @@ TRIED: Mapping[str, list[dict[str, Any]]] = {
     "player": [{"bag": BAG, "clock": "paced"}],
     "paced_player": [{"bag": BAG}],
     "navigation": [
-        {"velocity": "twist"},
+        {"velocity": "twist", "publish_tf": True},
         {"position": "fix", "origin_latitude_deg": 48.1, "origin_longitude_deg": 11.3, "origin_height_m": 560.0},
     ],
-    "sar_compression": [{"calibration": "topic"}],
+    "sar_compression": [{"calibration": "topic", "mounting_from_tf": True}],
     "recorder": [],
 }
 """Parameters with which nodes have all their topics. Others have them by default; the recorder has none of its own."""
@@ -81,8 +79,7 @@ def document() -> str:
         LookupError: a class says that its node has a topic, and no node that was started has it.
     """
     found = ends_of_nodes()
-    known: Ends = {("in", TF_STATIC): End("tf2_msgs/msg/TFMessage", _quality(TF_STATIC_QOS))}  # not on PyPI
-    known = {key: end for ends in (known, *found.values()) for key, end in ends.items()}
+    known = {key: end for ends in found.values() for key, end in ends.items()}
     sections = [_section(name, node, known | found[name]) for name, node in NODES.items()]
     return page([HEAD, ALL_NODES, _topics("out", ACCOUNTS | LEFT_OUT, known), _services(LIFE_CYCLE), *sections])
 

@@ -31,7 +31,7 @@ from sal_height.bag.topics import HEIGHT_TYPE, SENSOR_TYPE, Topic
 from sal_height.engine.air import AIR_PORTS
 from sal_height.engine.compression import SENSOR
 from sal_height.engine.results import DwellKey
-from sal_height.engine.stage import FOREVER_NS, StageSettings
+from sal_height.engine.stage import FOREVER_NS
 from sal_height.errors import UserError
 from sal_height.messages.codec import SHIPPED
 from sal_height.messages.definition import shipped_definition
@@ -39,6 +39,7 @@ from sal_height.messages.types import Calibration as CalibrationMessage
 from sal_height.messages.types import ChannelFrame, Odometry, SensorInfo
 from sal_height.nodes.accounts.account import CALIBRATIONS, DWELLS
 from sal_height.nodes.managed import INACTIVE, SENSOR_TOPICS, Topics
+from sal_height.nodes.platform_frames import FRAME_TOPICS, PlatformFrames, SourceSettings
 from sal_height.nodes.playing.playlist import CLOCK, PacedClock, Playlist, SimulatedClock, delivered
 from sal_height.nodes.program import run_node
 from sal_height.nodes.scripts import node_of_script
@@ -49,7 +50,7 @@ from sal_height.settings import setting
 from sal_height.topics import CALIBRATION, ODOMETRY, SENSOR_INFO
 
 
-class PacedPlayerSettings(StageSettings):
+class PacedPlayerSettings(SourceSettings):
     """Parameters of the node paced_player."""
 
     bag: str = setting("", "path of the bag: its folder or its .mcap file", read_only=True)
@@ -104,7 +105,7 @@ class BagSource(WorkerNode):
     """A node that publishes a bag."""
 
     usual_name: ClassVar[str]
-    parameters: type[StageSettings] = PacedPlayerSettings
+    parameters: type[SourceSettings] = PacedPlayerSettings
 
     def __init__(self, **node_arguments: Any) -> None:
         """Make the node; `node_arguments` go to rclpy's Node.
@@ -115,6 +116,7 @@ class BagSource(WorkerNode):
         super().__init__(self.usual_name, **node_arguments)
         self._time = PacedClock()
         self._outlets: dict[str, Outlet] = {}
+        self._tf = PlatformFrames(self)
         try:
             self._open(_path_of(self.current_parameters().bag))
         except UserError:
@@ -154,6 +156,7 @@ class Player(BagSource):
         **SENSOR_TOPICS,
         CALIBRATION: "calibrations that were applied in the flight, in a replay",
         CLOCK: "time of the sensor, if the parameter clock is paced",
+        **FRAME_TOPICS,
     }
     answers: ClassVar[Topics] = {**RESET, "~/step": "publish the next dwell; if paced or burst, all of them"}
 
@@ -221,8 +224,9 @@ class Player(BagSource):
         for name in parameters.topics:  # their bytes go out as they are
             self._reader.check_type(recorded[name].type_name)
         self._topics = parameters.topics
+        self._names = {recorded[name].name: name for name in parameters.topics}
         self._outlets = {
-            recorded[name].name: self.offer(_class_of(recorded[name]), name, qos_of(name)) for name in parameters.topics
+            topic: self.offer(_class_of(recorded[name]), name, qos_of(name)) for topic, name in self._names.items()
         }
         self._detectors = sum(recorded[name].type_name == HEIGHT_TYPE for name in parameters.topics)
         self._calibration = self.offer(CalibrationMessage, CALIBRATION, LATCHED_QOS)
@@ -357,6 +361,7 @@ class Player(BagSource):
 
     def _publish(self, recorded: BagMessage) -> None:
         self._outlets[recorded.topic].publish(recorded.cdr)
+        self._tf.follow(self._names[recorded.topic], recorded.cdr)
 
 
 class PacedPlayer(BagSource):
@@ -369,7 +374,7 @@ class PacedPlayer(BagSource):
     """
 
     usual_name = "paced_player"
-    outputs: ClassVar[Topics] = {**SENSOR_TOPICS, **{port.name: port.about for port in AIR_PORTS}}
+    outputs: ClassVar[Topics] = {**SENSOR_TOPICS, **{port.name: port.about for port in AIR_PORTS}, **FRAME_TOPICS}
     answers: ClassVar[Topics] = {**RESET, "~/start": "begin to deliver"}
     begin_service = "start"
 
@@ -397,7 +402,7 @@ class PacedPlayer(BagSource):
         kinds = {SENSOR_INFO: SensorInfo, ODOMETRY: Odometry, FRAMES: ChannelFrame}
         kinds |= {topic: one.message_type for topic, one in messages.AIR.items()}
         self._outlets = {topic: self.offer(kind, topic, qos_of(topic)) for topic, kind in kinds.items()}
-        self._outlets[SENSOR_INFO].publish(self.playlist.sensor_info)
+        self._deliver(SENSOR_INFO, self.playlist.sensor_info)
 
     def _publish_passes(self) -> int:
         """Publish messages when they are due, until the node ends."""
@@ -405,8 +410,13 @@ class PacedPlayer(BagSource):
             if not self._time.wait_until(message.log_time_ns):
                 break
             if self.is_active:
-                self._outlets[message.topic].publish(message.cdr)
+                self._deliver(message.topic, message.cdr)
         return 0
+
+    def _deliver(self, topic: str, cdr: bytes) -> None:
+        """Publish a message, and the frame that it states."""
+        self._outlets[topic].publish(cdr)
+        self._tf.follow(topic, cdr)
 
 
 def _path_of(bag: str) -> Path:

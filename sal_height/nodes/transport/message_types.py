@@ -16,7 +16,6 @@ from sal_height.errors import UserError
 from sal_height.messages import serialize
 from sal_height.messages.codec import SHIPPED, BrokenMessage
 from sal_height.messages.definition import ARRAY, LIST, NO_FIELD, TEXT, Field, shipped_definition
-from sal_height.messages.types import TFMessage
 
 NAMES = {"bool": "boolean", "byte": "octet", "char": "uint8", "float32": "float", "float64": "double"}
 """Names that rclpy has for numbers, where they are others."""
@@ -57,14 +56,6 @@ def class_of(kind: type[Any]) -> type[Any]:
     if kind.__msgtype__.startswith(f"{OURS}/"):
         importlib.import_module(OURS)
     return message_class(kind.__msgtype__)
-
-
-def has_transforms() -> bool:
-    """True if there is the package tf2_msgs, which a ROS installation has and PyPI has not."""
-    try:
-        return bool(class_of(TFMessage))
-    except UserError:
-        return False
 
 
 def publish(publisher: Publisher, message: Any) -> None:

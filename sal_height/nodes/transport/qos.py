@@ -11,8 +11,6 @@ from sal_height.bag.qos import Qos
 INSTRUMENT_QOS = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
 """Instruments: a best-effort subscription receives from any publisher."""
 
-TF_QOS = QoSProfile(depth=100)
-
 TF_STATIC_QOS = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
@@ -47,4 +45,4 @@ def from_profile(profile: QoSProfile) -> Qos:
 
 
 FRAMES_QOS, ODOMETRY_QOS, LATCHED_QOS = map(to_profile, (qos.FRAMES, qos.ODOMETRY, qos.LATCHED))
-"""Phase histories and images, platform states, and sensor info and the like."""
+"""Phase histories and images, platform states and frames that move with them, and sensor info and the like."""

@@ -16,6 +16,7 @@ from sal_height.bag.reader import BagMessage
 from sal_height.bag.writer import BagWriter
 from sal_height.engine.air import AIR_PARAMETERS
 from sal_height.engine.chain import Made
+from sal_height.engine.height_items import Heights
 from sal_height.engine.image_items import count_messages
 from sal_height.engine.results import DwellKey, Event, Loss, Notice, Product
 from sal_height.engine.stage import Port
@@ -23,14 +24,19 @@ from sal_height.errors import UserError
 from sal_height.extras import lacking_of_ros
 from sal_height.graph.plan import UNCOUNTED, Execution, Outcome, Plan
 from sal_height.messages.accounts import loss_to_message
-from sal_height.messages.codec import SHIPPED
+from sal_height.messages.codec import SHIPPED, deserialize
 from sal_height.messages.kinds import kind_of, kind_of_topic
+from sal_height.messages.transforms import platform_transform, sensor_transform
+from sal_height.messages.types import Image, Odometry, PointCloud2, SensorInfo, TFMessage
+from sal_height.messages.views import height_picture, height_points, origin_frame
 from sal_height.nodes.accounts.account import Account
 from sal_height.runs.chain.stage_run import StageRun
-from sal_height.topics import CALIBRATION, LOSSES, ODOMETRY, SENSOR_INFO
+from sal_height.topics import CALIBRATION, LOSSES, ODOMETRY, SENSOR_INFO, TF, TF_STATIC
 from sal_height.workers.processes import Interruption
 
 _LOG = logging.getLogger(__name__)
+
+VIEWS = {"image": Image, "points": PointCloud2}
 
 LOSS_TYPE = "sal_height_msgs/msg/DwellLoss"
 
@@ -124,6 +130,9 @@ class _Recording:
             for port in stage.outputs(run.settings[name]):
                 self._ports[port.name] = port
                 types[port.name] = kind_of(port).type_name, _qos_of(port.name, latched=port.latched)
+                if port.kind is Heights:
+                    types |= _view_types(port.name.removesuffix("/height"))
+        types |= {TF[1:]: (TFMessage.__msgtype__, qos.ODOMETRY), TF_STATIC[1:]: (TFMessage.__msgtype__, qos.LATCHED)}
         types.setdefault(CALIBRATION, (kind_of_topic(CALIBRATION).type_name, qos.LATCHED))
         if unknown := [topic for topic in wanted if topic not in types]:
             raise UserError(
@@ -144,6 +153,7 @@ class _Recording:
             _LOG.warning("%s: ignored a message on %s that cannot be decoded.", self._plan.source, recorded.topic)
             return
         self._write(port, [recorded.cdr], self._now_ns)
+        self._write_frames(port, recorded.cdr)
         self._counts[self._plan.source].published[port] += 1
         for item in items:
             if key := getattr(item, "key", None):
@@ -160,8 +170,9 @@ class _Recording:
             if result.port in self._names:
                 settings = self._run.settings[made.stage.name]
                 serialized = kind_of(self._ports[result.port]).write(result.item, settings)
-                time_ns = self._times_ns.get(made.dwell, self._now_ns) if made.dwell else self._now_ns
-                self._write(result.port, serialized, time_ns)
+                self._write(result.port, serialized, self._time_of(made.dwell))
+            if isinstance(result.item, Heights):
+                self._write_views(result.port.removesuffix("/height"), result.item, self._time_of(made.dwell))
         elif isinstance(result, Loss):
             counts.dropped[result.reason] += result.messages
             counts.last_drop = result.sentence
@@ -190,10 +201,37 @@ class _Recording:
     def _write_loss(self, stage: str, loss: Loss) -> None:
         self._write(LOSSES, [SHIPPED.serialize(loss_to_message(f"/{stage}", loss, self._now_ns))], self._now_ns)
 
+    def _time_of(self, dwell: DwellKey | None) -> int:
+        """Time at which products of a dwell are recorded, ns; None: of no dwell."""
+        return self._times_ns.get(dwell, self._now_ns) if dwell else self._now_ns
+
+    def _write_frames(self, port: str, cdr: bytes) -> None:
+        """Write the frames that follow from a message that is played, as the player publishes them."""
+        if port == ODOMETRY and TF[1:] in self._names:
+            frames = platform_transform(deserialize(cdr, Odometry))
+            self._write(TF[1:], [SHIPPED.serialize(frames)], self._now_ns)
+        elif port == SENSOR_INFO and TF_STATIC[1:] in self._names:
+            frames = sensor_transform(deserialize(cdr, SensorInfo))
+            self._write(TF_STATIC[1:], [SHIPPED.serialize(frames)], self._now_ns)
+
+    def _write_views(self, prefix: str, item: Heights, time_ns: int) -> None:
+        """Write the picture and the points of heights, as nodes publish them while somebody subscribes."""
+        if f"{prefix}/image" in self._names:
+            self._write(f"{prefix}/image", [SHIPPED.serialize(height_picture(item))], time_ns)
+        if f"{prefix}/points" in self._names:
+            frame, points = height_points(item, origin_frame(prefix))
+            self._write(TF[1:], [SHIPPED.serialize(TFMessage(transforms=[frame]))], time_ns)
+            self._write(f"{prefix}/points", [SHIPPED.serialize(points)], time_ns)
+
     def _write(self, port: str, serialized: Sequence[bytes], time_ns: int) -> None:
         if port in self._names:
             for cdr in serialized:
                 self.bag.write(self._names[port], cdr, time_ns, time_ns)
+
+
+def _view_types(product: str) -> dict[str, tuple[str, Qos]]:
+    """Types and quality of service of the picture and the points of heights."""
+    return {f"{product}/{view}": (kind.__msgtype__, qos.FRAMES) for view, kind in VIEWS.items()}
 
 
 def _qos_of(topic: str, *, latched: bool) -> Qos:

@@ -16,6 +16,7 @@ from sal_height.errors import UserError
 from sal_height.io import writing
 from sal_height.nodes.accounts.account import DIAGNOSTICS, Account
 from sal_height.numeric import F64
+from sal_height.topics import TF, TF_STATIC
 
 PICTURE = "comparison.png"
 
@@ -68,6 +69,8 @@ def as_json(
 def topics_to_compare(golden: BagReader, made: BagReader, named: Collection[str]) -> list[str]:
     """Topics of two bags whose content can be compared: those named, or all but those that say how a run went.
 
+    Pictures, points and frames for viewers are compared only if both bags have them.
+
     Raises:
         UserError: a bag cannot be read, or a topic that is named is in neither.
     """
@@ -75,7 +78,13 @@ def topics_to_compare(golden: BagReader, made: BagReader, named: Collection[str]
     wanted = [f"/{topic.removeprefix('/')}" for topic in named]
     if lost := [topic for topic in wanted if topic not in known]:
         raise UserError(f"Neither bag has topic {lost[0]}; they have {', '.join(known)}.")
-    return wanted or [topic for topic in known if topic not in PASSING]
+    both = golden.topics.keys() & made.topics.keys()
+    return wanted or [topic for topic in known if topic not in PASSING and (topic in both or not _is_view(topic))]
+
+
+def _is_view(topic: str) -> bool:
+    """True if a topic is for viewers: what it shows is on other topics, too."""
+    return topic in {TF, TF_STATIC} or topic.endswith(("/image", "/points"))
 
 
 def published_latencies(bag: BagReader) -> dict[str, F64]:

@@ -20,17 +20,16 @@ from sal_height.nodes.program import run_node
 from sal_height.nodes.recording.recorder import Recorder
 from sal_height.nodes.simulator import Simulator
 from sal_height.nodes.transport.graph import Graph
-from sal_height.nodes.transport.message_types import has_transforms
 from sal_height.nodes.transport.qos import FRAMES_QOS
 from sal_height.nodes.worker import WorkerNode
 from sal_height.settings import settings_of
-from sal_height.topics import TF_STATIC
+from sal_height.topics import TF
 
 BAG = str(Path(__file__).parents[3] / "bags" / "version_3")
 
 NODES: dict[type[Any], dict[str, Any]] = {
     **{node: {} for name, node in PROCESSING.items() if name != "navigation"},
-    PROCESSING["sar_compression"]: {"calibration": "topic", "mounting_from_tf": has_transforms()},
+    PROCESSING["sar_compression"]: {"calibration": "topic", "mounting_from_tf": True},
     Simulator: {"preset": "small", "period_s": 0.0},
     Player: {"bag": BAG, "clock": "paced"},
 }
@@ -69,7 +68,7 @@ def test_the_topics_and_services_that_help_names_are_those_of_the_node(graph: Gr
     made = graph.add(node(context=graph.context, parameter_overrides=overrides))
     ours = {name.lstrip("/") for name, _ in made.get_topic_names_and_types()} - {"rosout", "parameter_events", "tf"}
     named = {*node.inputs, *node.outputs, "losses", "diagnostics", "progress", f"{made.get_name()}/transition_event"}
-    named = {name.lstrip("/") for name in named if has_transforms() or name != TF_STATIC}  # tf2_msgs is not on PyPI
+    named = {name.lstrip("/") for name in named if name != TF}
     assert ours == {name.replace("<estimator>", "ml") for name in named}
     services = {
         name

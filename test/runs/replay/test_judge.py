@@ -15,18 +15,29 @@ from sal_height.bag.topics import HEIGHT_TYPE
 from sal_height.bag.writer import BagWriter
 from sal_height.errors import UserError
 from sal_height.messages import serialize
-from sal_height.messages.types import DiagnosticArray, DiagnosticStatus, HeightImage, KeyValue, Surface
+from sal_height.messages.types import (
+    DiagnosticArray,
+    DiagnosticStatus,
+    HeightImage,
+    KeyValue,
+    PointCloud2,
+    Surface,
+    TFMessage,
+)
 from sal_height.runs.replay.difference_picture import worst_pair
 from sal_height.runs.replay.judge import PICTURE, as_json, draw_worst_dwell, topics_to_compare, verdict_of
 
 ROWS, COLS = 8, 6
 
 
-def write(folder: Path, heights: dict[int, np.ndarray], latency_ms: float = 5.0) -> BagReader:
-    """A bag with an image of each dwell, and with what a node says before and after them."""
+def write(folder: Path, heights: dict[int, np.ndarray], latency_ms: float = 5.0, *, views: bool = False) -> BagReader:
+    """A bag with an image of each dwell, and with what a node says before and after them; with topics for viewers."""
     with BagWriter(folder) as bag:
         bag.add_topic("/ml/height", HEIGHT_TYPE)
         bag.add_topic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray")
+        if views:
+            bag.add_topic("/ml/points", PointCloud2.__msgtype__)
+            bag.add_topic("/tf", TFMessage.__msgtype__)
         for dwell, values in heights.items():
             message = HeightImage(dwell=dwell, validity=np.zeros(values.size, np.uint8))
             message.grid.rows, message.grid.cols = values.shape
@@ -101,5 +112,8 @@ def test_topics_are_those_named_or_all_that_can_be_the_same_twice(tmp_path: Path
     golden, made = write(tmp_path / "golden", dwells(1)), write(tmp_path / "made", dwells(1))
     assert topics_to_compare(golden, made, []) == ["/ml/height"]
     assert topics_to_compare(golden, made, ["diagnostics"]) == ["/diagnostics"]
+    with_points = write(tmp_path / "with_points", dwells(1), views=True)
+    assert topics_to_compare(golden, with_points, []) == ["/ml/height"]
+    assert topics_to_compare(with_points, with_points, []) == ["/ml/height", "/ml/points", "/tf"]
     with pytest.raises(UserError, match="Neither bag has topic /slc; they have /ml/height, /diagnostics"):
         topics_to_compare(golden, made, ["slc"])

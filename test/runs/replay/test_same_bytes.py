@@ -30,6 +30,7 @@ def raw(bag: Path) -> dict[str, list[BagMessage]]:
     reader, found = BagReader(bag), defaultdict(list)
     for message in reader.messages([topic for topic in reader.topics if topic not in ACCOUNTS]):
         found[message.topic].append(message)
+    found["/tf"].sort()  # of several nodes, which publish at the same time
     return dict(found)
 
 

@@ -185,9 +185,9 @@ def test_odometry_far_from_its_dwells_in_the_bag_is_found(recorded: Path, tmp_pa
 FROM_TF: dict[str, Any] = {"sar_compression": {"mounting_from_tf": True}}
 
 
-def test_a_mounting_that_nothing_states_is_refused(recorded: Path, tmp_path: Path) -> None:
+def test_a_mounting_that_nothing_states_is_refused(tmp_path: Path) -> None:
     with pytest.raises(UserError) as refused:
-        made_offline.make(recorded / "bag", tmp_path, **FROM_TF)
+        made_offline.make(BAGS / "version_3", tmp_path, **FROM_TF)
     assert_one_sentence(str(refused.value), "has no topic /tf_static", "mounting_from_tf to false")
 
 
@@ -202,8 +202,11 @@ def test_the_mounting_is_that_on_tf_static(up_m: float, verdicts: set[str], reco
     transform.transform.translation = Vector3(x=arm.x, y=arm.y, z=arm.z + up_m)
     transform.transform.rotation = mounting.rotation
     static = serialize(TFMessage(transforms=[transform]))
-    first = BagMessage("/tf_static", TFMessage.__msgtype__, static, reader.begin_ns, reader.begin_ns)
-    with_more(recorded / "bag", tmp_path / "bag", first)
+    rewritten(
+        recorded / "bag",
+        tmp_path / "bag",
+        lambda message, _: message._replace(cdr=static) if message.topic == "/tf_static" else message,
+    )
     for jobs in (1, 2):
         row = made_offline.make(tmp_path / "bag", tmp_path / f"{jobs}", jobs, **FROM_TF)
         assert (row["dwells"], row["dropped"]) == (2, 0)

@@ -31,6 +31,5 @@ class BlankCanvas:
 def blank_pictures() -> Iterator[None]:
     """Pictures are white, for tests that look at other results: layout and drawing cost more than a run."""
     with pytest.MonkeyPatch.context() as patch:
-        for module in ("graph.picture", "figures.paper_figures"):
-            patch.setattr(f"sal_height.{module}.FigureCanvasAgg", BlankCanvas)
+        patch.setattr("sal_height.picture.FigureCanvasAgg", BlankCanvas)
         yield

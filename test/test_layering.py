@@ -24,7 +24,7 @@ LAYERS = (
     ("elevation",),
     ("imaging", "relief", "simulation"),
     ("calibration", "adjustment", "movers"),
-    ("theory",),
+    ("theory", "picture"),
     ("pipeline",),
     ("rehearsal", "passes", "precompile"),
     ("engine", "figures"),

@@ -11,6 +11,7 @@ import sal_height_msgs.msg as message_classes
 
 import sal_height.commands
 from sal_height.graph.node_classes import NODES
+from tools.badges import FOLDER, badges
 from tools.reference import messages, topics
 from tools.reference.pages import DOCS, PAGES
 
@@ -23,6 +24,13 @@ def test_a_page_is_up_to_date(file: Path, document: Callable[[], str]) -> None:
     assert file.read_text(encoding="utf-8") == document(), (
         f"{file.name} is out of date: .venv/bin/python -m tools.reference"
     )
+
+
+def test_the_badges_of_the_readme_say_what_the_package_says() -> None:
+    made = badges()
+    assert {path: path.read_text(encoding="utf-8") for path in FOLDER.iterdir()} == made, "python -m tools.badges"
+    readme = (DOCS.parent / "README.md").read_text(encoding="utf-8")
+    assert [path.name for path in made if f"docs/badges/{path.name}" not in readme] == []
 
 
 def test_every_page_of_the_reference_is_made() -> None:

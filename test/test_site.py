@@ -15,7 +15,9 @@ import pytest
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 TEXTS = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(DOCS.rglob("*.md"))]
-PICTURES = sorted(path for path in DOCS.rglob("*") if path.suffix in {".png", ".svg", ".jpg", ".gif"})
+PICTURES = sorted(
+    path for path in DOCS.rglob("*") if path.suffix in {".png", ".svg", ".jpg", ".gif"} and path.parent.name != "badges"
+)
 
 COMMAND = re.compile(r"`(?:make|sal-height|\S+/python|tools/\w+\.py) [^`]+`")
 """A command of the repository in a caption."""

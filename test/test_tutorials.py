@@ -155,6 +155,13 @@ def test_your_own_sensor_becomes_a_bag_that_can_be_replayed(fresh_folder: Path) 
     assert outcome.stages["sar_compression"].processed == 2, outcome.losses
 
 
+@pytest.mark.thorough
+@pytest.mark.usefixtures("blank_pictures")
+@pytest.mark.parametrize("page", ["README.md", "docs/movers.md"])
+def test_the_commands_of_a_page_run_and_print_what_it_shows(page: str, capsys: pytest.CaptureFixture[str]) -> None:
+    run_page(DOCS.parent / page, capsys)
+
+
 def test_heights_are_an_xarray_dataset(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.chdir(DOCS.parent)
     exec(compile(python_of("export.md"), "export.md", "exec"), {})  # noqa: S102 (our own document)

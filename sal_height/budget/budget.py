@@ -15,10 +15,10 @@ from sal_height.budget.budget_errors import BudgetEntry, Situation, describe_aut
 from sal_height.elevation import stochastic_crb
 from sal_height.errors import UserError
 from sal_height.geometry import RADIO_M, AirPath, ApertureState, locate_at_height, path_through_air
-from sal_height.graph.picture import page
 from sal_height.imaging import azimuth_resolution, image_beams
 from sal_height.io import new_folder, write_text, writing
 from sal_height.numeric import F64
+from sal_height.picture import page
 from sal_height.relief import position_jacobian, vertical
 from sal_height.sensor import Sensor, aperture_length, lit_doppler, spectrum_sensor
 from sal_height.simulation import Preset, describe_beam_misfits, mean_square_gain, samples_doppler

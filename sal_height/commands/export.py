@@ -15,7 +15,7 @@ from sal_height.tables import counted
 EXAMPLES = """
   sal-height export out/sal_spotlight/bag --las street.laz
   sal-height export out/xband_relief/bag --cog map.tif --netcdf heights.nc
-  sal-height export out/sal_stripmap/bag --film street.gif
+  sal-height export out/village/bag --film village.gif
   sal-height export flight --zarr heights.zarr --origin 48.1,11.3,560
   sal-height export out/images_too/bag --sicd images --origin 48.1,11.3,560
 """
@@ -52,7 +52,7 @@ def export(
         cog: Map of all dwells as a Cloud-Optimized GeoTIFF, each cell the mean weighted by inverse variance.
         netcdf: Arrays of all dwells as netCDF 4, by the CF conventions.
         zarr: The same arrays as Zarr, in a new folder.
-        film: Height and sigma dwell by dwell, .gif or .mp4.
+        film: Point cloud that grows dwell by dwell, beside the truth of a simulated flight, .gif of 10 s at most.
         sicd: Complex images, recorded with --record slc: a SICD file for each dwell and channel, in a new folder.
         topic: Of the heights. Default: /ml/height, or the first that the bag has.
         origin: Origin of the map on WGS 84: latitude and longitude in degrees, height in m. Default: as the bag says.

@@ -19,8 +19,8 @@ from sal_height.commands._options import (
 from sal_height.io import bag_name
 
 EXAMPLES = """
-  sal-height run --preset sal_stripmap
-  sal-height movers out/sal_stripmap/bag
+  sal-height run --preset sal_movers
+  sal-height movers out/sal_movers/bag
   sal-height run --preset sal_spotlight
   sal-height movers out/sal_spotlight/bag
   sal-height movers BAG --set false_alarm_rate=1e-5 --set prominence_db=15

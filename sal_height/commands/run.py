@@ -75,7 +75,7 @@ def run(
     a run processes the dwells without nodes, as with --jobs.
 
     Args:
-        scene: Terrain: street, woods, jacksboro_fault, or a DEM as .tif or .npz file. Default: the preset's.
+        scene: Terrain: street, woods, village, jacksboro_fault, or a DEM as .tif or .npz file. Default: the preset's.
         dwells: Number of dwells. Default: the preset's.
         cnr_db: Single-look CNR in dB of a detector pointed at the ground. Default: the preset's.
         looks: Pixels averaged in range x azimuth, for example 2x2. Default: the preset's.

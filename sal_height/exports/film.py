@@ -1,91 +1,85 @@
-"""The heights of a bag, dwell by dwell, as a moving picture."""
+"""The heights of a bag as a moving picture: a cloud of points that grows dwell by dwell, beside the truth."""
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
-from typing import Any, NamedTuple, Self
 
 import numpy as np
+from PIL import Image
 
 from sal_height.errors import UserError
 from sal_height.exports.heights import DwellHeights, RecordedHeights
+from sal_height.geometry import sphere_coordinates
 from sal_height.io import unfinished
-from sal_height.numeric import F32
+from sal_height.numeric import F64, U8
+from sal_height.runs.truth.report import recorded_flight
+from sal_height.simulation import SimulatedFlight
 
-MOST_FRAMES = 500
-"""Greatest number of frames; of more dwells, evenly spaced ones are shown."""
+SUFFIX = ".gif"
 
-SIZE_INCHES, DOTS_PER_INCH = (9.6, 4.8), 100
-
-SUFFIXES = {".gif": "pillow", ".mp4": "ffmpeg"}
-"""Matplotlib's writers by the suffix of the film."""
-
-
-class _Frame(NamedTuple):
-    """A dwell: its number and stamp, and height and sigma of the strongest surface, shape (rows, cols)."""
-
-    dwell: int
-    stamp_ns: int
-    height: F32
-    sigma: F32
-
-    @classmethod
-    def of_dwell(cls, dwell: DwellHeights) -> Self:
-        first = dwell.field.first
-        return cls(dwell.dwell, dwell.stamp_ns, first.height.astype(np.float32), first.sigma.astype(np.float32))
+MOST_FRAMES, MOST_POINTS = 60, 1_000_000
+"""Greatest numbers of frames and of points; of more dwells several appear at once, of more points some."""
 
 
 def write_film(heights: RecordedHeights, path: Path) -> int:
-    """Write the strongest surface of each dwell and its sigma as a GIF or MP4; returns the number of frames.
+    """Write all surfaces of all dwells as a GIF, at most ten seconds long, and return the number of frames.
 
-    Colours mean the same in all frames. The file appears under its name when it is complete.
+    Below is what the scene of a simulated flight truly looks like where it is lit; a bag of real data has no truth.
+    The file appears under its name when it is complete.
 
     Raises:
-        UserError: another suffix, no program ffmpeg for .mp4, no valid height, or the file cannot be written.
+        UserError: another suffix, no valid height, or the file cannot be written.
     """
-    from matplotlib.animation import writers  # noqa: PLC0415 (Matplotlib is slow)
+    from sal_height.exports.film_frames import frames_of  # noqa: PLC0415 (Matplotlib is slow)
 
-    if (suffix := path.suffix.lower()) not in SUFFIXES:
-        raise UserError(f"File {path} has the suffix {path.suffix!r}; a film is written as {' or '.join(SUFFIXES)}.")
-    if not writers.is_available(SUFFIXES[suffix]):
-        raise UserError(
-            f"Writing {path} needs the program ffmpeg; install it (sudo apt install ffmpeg), or write a .gif."
-        )
-    step = max(1, math.ceil(heights.count / MOST_FRAMES))
-    shown = [_Frame.of_dwell(dwell) for number, dwell in enumerate(heights.dwells("film")) if number % step == 0]
-    seen = [frame for frame in shown if np.isfinite(frame.height).any()]
-    if not seen:
+    if path.suffix.lower() != SUFFIX:
+        raise UserError(f"File {path} has the suffix {path.suffix!r}; a film is written as {SUFFIX}.")
+    clouds = {}
+    sight = np.zeros(3)
+    for dwell in heights.dwells("film"):
+        clouds[dwell.dwell] = _thinned(_points(dwell), MOST_POINTS // heights.count)
+        sight = sight if sight.any() else _sight(dwell)
+    if not any(map(len, clouds.values())):
         raise UserError(f"Topic {heights.topic} of bag {heights.reader.path} has no valid height.")
-    frames_per_second = 5
+    flight = recorded_flight(heights.reader)
+    truth = _lit_points(flight, list(clouds)) if flight else None
+    frames = list(frames_of(list(clouds.values()), truth, sight, f"measured: {heights.topic}", MOST_FRAMES))
     with unfinished(path) as partial:
-        _draw(heights, seen, writers[SUFFIXES[suffix]](fps=frames_per_second), partial)
-    return len(seen)
+        _write_gif(frames, partial)
+    return len(frames)
 
 
-def _draw(heights: RecordedHeights, frames: list[_Frame], writer: Any, path: Path) -> None:
-    from matplotlib.colors import LogNorm, Normalize  # noqa: PLC0415
-    from matplotlib.figure import Figure  # noqa: PLC0415
+def _points(dwell: DwellHeights) -> F64:
+    """East, north and height of all surfaces of a dwell, m, shape (points, 3)."""
+    position = np.concatenate([surface.positions.reshape(-1, 3) for surface in dwell.field.surfaces])
+    valid = np.concatenate([np.isfinite(surface.height).ravel() for surface in dwell.field.surfaces])
+    return np.stack(sphere_coordinates(position[valid]), axis=-1)
 
-    height = np.concatenate([frame.height[np.isfinite(frame.height)] for frame in frames])
-    sigma = np.concatenate([frame.sigma[np.isfinite(frame.sigma)] for frame in frames])
-    scales = (
-        ("height above the sphere (m)", "viridis", Normalize(*np.percentile(height, [1, 99]))),
-        ("sigma (m)", "cividis", LogNorm(*np.percentile(sigma, [1, 99]) * [0.999, 1.001])),
-    )
-    figure = Figure(figsize=SIZE_INCHES, dpi=DOTS_PER_INCH, layout="constrained")
-    pictures = []
-    for axes, image, (label, colours, norm) in zip(
-        figure.subplots(1, 2), (frames[0].height, frames[0].sigma), scales, strict=True
-    ):
-        pictures.append(axes.imshow(image, origin="lower", aspect="auto", cmap=colours, norm=norm))
-        axes.set(xlabel="pixel along the track", ylabel="pixel in range", facecolor="0.85")
-        figure.colorbar(pictures[-1], ax=axes, label=label, orientation="horizontal")
-    begin_ns = frames[0].stamp_ns
-    with writer.saving(figure, str(path), DOTS_PER_INCH):
-        for frame in frames:
-            for picture, image in zip(pictures, (frame.height, frame.sigma), strict=True):
-                rows, cols = image.shape
-                picture.set(data=image, extent=(-0.5, cols - 0.5, -0.5, rows - 0.5))
-            figure.suptitle(f"{heights.topic}, dwell {frame.dwell}, {(frame.stamp_ns - begin_ns) * 1e-9:.2f} s")
-            writer.grab_frame()
+
+def _thinned(points: F64, most: int) -> F64:
+    """Points, or of more than `most` of them an even choice."""
+    return points[:: -(-len(points) // max(1, most)) or 1]
+
+
+def _sight(dwell: DwellHeights) -> F64:
+    """Direction from the sensor to the middle of its image, of length 1."""
+    grid = dwell.field.grid
+    sight = grid.points(grid.rows / 2, grid.cols / 2) - dwell.aperture.position
+    return np.asarray(sight / np.linalg.norm(sight))
+
+
+def _lit_points(flight: SimulatedFlight, dwells: list[int]) -> F64:
+    """East, north and height of what some dwells of a simulated flight light up, m, shape (points, 3)."""
+    most = MOST_POINTS // len(dwells)
+    seen = [_thinned(flight.surface(number).positions, most) for number in dwells]
+    return np.stack(sphere_coordinates(np.concatenate(seen)), axis=-1)
+
+
+def _write_gif(frames: list[U8], path: Path) -> None:
+    """Write frames in the colours of the last one, so that what does not change between them takes no space."""
+    longest_ms, slowest_ms, last_ms = 8000, 250, 2000  # time that the cloud grows, and that it is seen complete
+    last = Image.fromarray(frames[-1]).quantize(255, dither=Image.Dither.NONE)
+    pictures = [Image.fromarray(frame).quantize(palette=last, dither=Image.Dither.NONE) for frame in frames]
+    each_ms = min(slowest_ms, longest_ms // len(frames)) // 10 * 10  # GIF counts hundredths of a second
+    times = [each_ms] * (len(frames) - 1) + [last_ms]
+    pictures[0].save(path, "GIF", save_all=True, append_images=pictures[1:], duration=times, loop=0, optimize=False)

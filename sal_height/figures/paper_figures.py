@@ -8,12 +8,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure as Picture
-from PIL import Image
 
 from sal_height.errors import UserError, did_you_mean
 from sal_height.figures.array_elevation import WEIGHTS, fig10, fig11
@@ -24,9 +20,8 @@ from sal_height.figures.psf_point_targets import PSF_FIGURES
 from sal_height.figures.relief_tracking import relief_tracking
 from sal_height.figures.sum_difference_radar import RELIEF_FIGURES
 from sal_height.io import new_folder, write_text, writing
+from sal_height.picture import COLOURS, letter_panels, page
 from sal_height.progress import Bar
-
-mpl.use("Agg")
 
 COLUMNS = ("figure", "curve", "x", "value", "standard_error", "closed_form")
 
@@ -116,21 +111,21 @@ FIGURES = {
 
 
 def draw(figure: Figure, curves: Sequence[Curve], path: Path) -> None:
-    """Write a PNG with axes for each quantity; black dots are the closed forms, bars the standard errors."""
-    wide = 2 if len(figure.axes) == 4 else len(figure.axes)
-    high = len(figure.axes) // wide
-    picture = Picture(figsize=(7.2 * wide, 0.5 + 4.6 * high), dpi=110, layout="constrained")
-    panels = picture.subplots(high, wide, squeeze=False).ravel()
-    for panel, (quantity, (horizontal, vertical)) in zip(panels, figure.axes.items(), strict=True):
-        for curve in (curve for curve in curves if curve.quantity == quantity):
-            _draw_curve(panel, curve)
-        panel.set(title=quantity, xlabel=horizontal, ylabel=vertical)
-        panel.grid(alpha=0.3)
-        panel.legend(fontsize="x-small", loc="center left", bbox_to_anchor=(1.0, 0.5))
-    picture.suptitle(figure.title)
-    canvas = FigureCanvasAgg(picture)
-    canvas.draw()  # type: ignore[no-untyped-call] # once, and not twice as savefig does
-    Image.fromarray(np.asarray(canvas.buffer_rgba())).save(path)  # type: ignore[no-untyped-call]
+    """Write a PNG with a panel for each quantity; black dots are the closed forms, bars the standard errors."""
+    with page(path, 0.4 + 2.6 * len(figure.axes)) as picture:
+        panels = picture.subplots(len(figure.axes), 1, squeeze=False).ravel()
+        for panel, (quantity, (horizontal, vertical)) in zip(panels, figure.axes.items(), strict=True):
+            own = [curve for curve in curves if curve.quantity == quantity]
+            for curve in own:
+                _draw_curve(panel, curve)
+            if any(np.isfinite(curve.closed_form).any() for curve in own):
+                panel.plot([], [], "k.", label="closed form")
+            panel.set(title=quantity, xlabel=horizontal, ylabel=vertical)
+            panel.grid()
+            panel.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
+        if len(panels) > 1:
+            letter_panels(panels)
+        picture.suptitle(figure.title)
 
 
 def _draw_curve(panel: Axes, curve: Curve) -> None:
@@ -141,12 +136,11 @@ def _draw_curve(panel: Axes, curve: Curve) -> None:
         yerr=curve.standard_error if np.any(curve.standard_error) else None,
         linestyle="-" if steps else curve.style,
         drawstyle=curve.style if steps else "default",
-        color=f"C{curve.colour}",
+        color=COLOURS[curve.colour % len(COLOURS)],
         label=curve.case,
-        linewidth=1.2,
-        elinewidth=0.8,
+        elinewidth=0.6,
     )
-    panel.plot(curve.x, curve.closed_form, "k.", markersize=2.5)
+    panel.plot(curve.x, curve.closed_form, "k.", markersize=2.0)
 
 
 def make_figures(names: Sequence[str], out: Path, trials: int, seed: int) -> list[dict[str, Any]]:

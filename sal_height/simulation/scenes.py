@@ -1,4 +1,4 @@
-"""Scenes: a synthetic street, woods, and terrain from elevation models."""
+"""Scenes: a synthetic street, woods, a village, and terrain from elevation models."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from sal_height.errors import UserError, did_you_mean
 from sal_height.geometry.elevation_model import read_elevation_model
 from sal_height.simulation.canopy import Canopy
 from sal_height.simulation.scene import PointScatterer, Scene
+from sal_height.simulation.village import village
 
 
 def load_scene(name_or_path: str, extent: float = 0.0) -> Scene:
@@ -95,5 +96,10 @@ def jacksboro_fault() -> Scene:
     return terrain(Path(str(get_sample_data("jacksboro_fault_dem.npz", asfileobj=False))))
 
 
-SCENES: dict[str, Callable[[], Scene]] = {"street": street, "woods": woods, "jacksboro_fault": jacksboro_fault}
+SCENES: dict[str, Callable[[], Scene]] = {
+    "street": street,
+    "woods": woods,
+    "village": village,
+    "jacksboro_fault": jacksboro_fault,
+}
 """Built-in scenes by name. A new scene is one function and one entry here."""

@@ -30,6 +30,7 @@ from sal_height.elevation import Validity
 from sal_height.errors import UserError
 from sal_height.exports import RecordedHeights, dataset, write_film, write_las, write_map, write_netcdf, write_zarr
 from sal_height.exports import film as film_module
+from sal_height.exports.film_frames import frames_of
 from sal_height.exports.las import gps_time
 from sal_height.geometry import Grid, Origin, sphere_coordinates, sphere_point
 from sal_height.messages import serialize
@@ -242,20 +243,37 @@ def test_a_film_has_a_frame_for_each_dwell(
     assert write_film(heights, tmp_path / "film.gif") == DWELLS
     with Image.open(tmp_path / "film.gif") as film:
         assert film.n_frames == DWELLS
-        frames = []
+        frames, shown_ms = [], 0
         for number in range(DWELLS):
             film.seek(number)
             frames.append(np.asarray(film.convert("RGB")))
+            shown_ms += film.info["duration"]
     assert all(np.any(one != other) for one, other in pairwise(frames))
+    assert 2000 < shown_ms <= 10_000
     assert [one.name for one in tmp_path.iterdir()] == ["film.gif"]
     monkeypatch.setattr(film_module, "MOST_FRAMES", 2)
     assert write_film(heights, tmp_path / "short.gif") == 2
 
 
+def test_a_film_of_a_simulated_flight_shows_the_truth_below() -> None:
+    """The cloud grows above it, and the truth is there from the first frame on."""
+    rng = np.random.default_rng(2)
+    clouds = [rng.uniform((west, 0.0, 0.0), (west + 5.0, 10.0, 1.0), (500, 3)) for west in (0.0, 5.0, 10.0)]
+    sight = np.array([0.0, -1.0, -1.0]) / np.sqrt(2)
+    alone = list(frames_of(clouds, None, sight, "measured", 10))
+    first, second, third = frames_of(clouds, np.concatenate(clouds), sight, "measured", 10)
+    half = len(first) // 2
+    assert len(first) == pytest.approx(2 * len(alone[0]), rel=0.1)
+    np.testing.assert_array_equal(first[half:], third[half:])
+    grown = [np.count_nonzero(np.any(one[:half] != third[:half], axis=-1)) for one in (first, second)]
+    assert grown[0] > grown[1] > 1000
+    assert len(list(frames_of(clouds, None, sight, "measured", 2))) == 2
+
+
 def test_films_of_another_kind_are_refused(heights: RecordedHeights, tmp_path: Path) -> None:
     with pytest.raises(UserError) as refused:
         write_film(heights, tmp_path / "film.avi")
-    assert_one_sentence(str(refused.value), "a film is written as .gif or .mp4")
+    assert_one_sentence(str(refused.value), "a film is written as .gif")
 
 
 def test_what_is_no_place_or_not_there_is_refused(bag: Path, tmp_path: Path) -> None:

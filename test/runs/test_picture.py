@@ -15,9 +15,9 @@ from sal_height.bag.reader import BagReader
 from sal_height.bag.writer import BagWriter
 from sal_height.elevation import ESTIMATORS
 from sal_height.geometry.grid import Grid
-from sal_height.graph.picture import STYLE, beyond, look_of, page, shaded
 from sal_height.messages import serialize
 from sal_height.messages.types import DiagnosticArray, DiagnosticStatus, Doubt, FitTest, HeightImage, KeyValue
+from sal_height.picture import STYLE, beyond, look_of, page, shaded
 from sal_height.relief import GroundEstimate, HeightField, Surface
 from sal_height.runs.campaign.campaign_picture import _style
 from sal_height.runs.live.latency_picture import draw_run
@@ -27,7 +27,7 @@ from sal_height.runs.responses.pictures import corners, draw_image, ground_steps
 from sal_height.runs.truth.comparison import PublishedErrors, SurfaceComparison
 from sal_height.runs.truth.doubt_picture import draw_doubts, fit_over_dwells
 from sal_height.runs.truth.height_picture import ground_picture, height_limits, percent_text
-from sal_height.runs.truth.pictures import _normal, counted, kind_shares, projected
+from sal_height.runs.truth.pictures import _normal, counted, kind_shares
 from sal_height.runs.truth.profile import column_of_greatest_relief
 from sal_height.runs.truth.surface_report import GroundCoverage, Judged
 
@@ -92,17 +92,6 @@ def test_a_cell_shows_the_surface_nearest_to_its_middle_and_an_empty_one_why_it_
 def test_shares_of_the_ground_are_of_the_cells_inside_the_array() -> None:
     shares = judgement_of([[0.0, 0.0, 0.0]], [0.1], [False]).ground.shares
     assert shares == {"lit": pytest.approx(2 / 3), "shadow": pytest.approx(1 / 3), "right": pytest.approx(1 / 2)}
-
-
-@pytest.mark.parametrize("side", [1.0, -1.0])
-def test_the_cloud_is_seen_from_the_sensor(side: float) -> None:
-    """A sensor in the north that looks south has the east on its left; what is high is up, what is near is low."""
-    across, up, depth = projected(np.array([[1.0, 0, 0], [0, side, 0], [0, 0, 1]]), side)
-    assert np.sign(across[0]) == -side
-    assert depth[1] < 0
-    assert up[1] < 0
-    assert up[2] > 0
-    np.testing.assert_allclose(across**2 + up**2 + depth**2, 1)
 
 
 def errors_of(nearest: list[float], sigma: list[float]) -> PublishedErrors:

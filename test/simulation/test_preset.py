@@ -29,12 +29,14 @@ from sal_height.simulation.scenes import load_scene
 
 SMALL = Path(__file__).parents[2] / "sal_height" / "presets" / "small.yaml"
 SHIPPED = (
+    "sal_movers",
     "sal_passes",
     "sal_realistic",
     "sal_spotlight",
     "sal_stripmap",
     "sal_strips",
     "small",
+    "village",
     "woods",
     "xband_realistic",
     "xband_relief",

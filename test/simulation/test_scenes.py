@@ -156,7 +156,7 @@ def test_street_holds_what_it_says() -> None:
 
 
 def test_name_that_is_no_scene_is_refused_with_those_allowed() -> None:
-    with refused(UserError, "'no_such_scene'", "street, woods, jacksboro_fault", ".tif or .npz"):
+    with refused(UserError, "'no_such_scene'", "street, woods, village, jacksboro_fault", ".tif or .npz"):
         load_scene("no_such_scene")
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from matplotlib.axes import Axes
 
-from sal_height.graph.picture import look_of, page
+from sal_height.picture import look_of, page
 
 PANELS = {
     "with_height": "fraction of pixels with a height",

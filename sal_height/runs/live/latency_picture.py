@@ -9,9 +9,9 @@ from typing import Any
 
 from sal_height.bag.reader import BagReader
 from sal_height.graph.catalogue import HEIGHTS
-from sal_height.graph.picture import look_of, page
 from sal_height.io import writing
 from sal_height.numeric import F64
+from sal_height.picture import look_of, page
 from sal_height.runs.replay.judge import published_latencies
 
 LATENCIES = "latency.png"

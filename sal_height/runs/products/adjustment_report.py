@@ -18,8 +18,8 @@ from sal_height.adjustment import (
     stated_sigmas,
 )
 from sal_height.geometry import Mounting
-from sal_height.graph.picture import page
 from sal_height.numeric import root_mean_square
+from sal_height.picture import page
 from sal_height.tables import ABSENT, aligned
 
 NAMES = (

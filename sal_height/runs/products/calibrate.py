@@ -15,11 +15,11 @@ from sal_height.calibration import Calibration, load_calibration
 from sal_height.engine.calibrator import MOST_DWELLS
 from sal_height.errors import UserError
 from sal_height.graph.catalogue import CALIBRATOR, NodeParameters, check_parameters
-from sal_height.graph.picture import page
 from sal_height.graph.plan import DEFAULT, Execution, Outcome, Plan
 from sal_height.graph.reporting import PARAMETERS, conclude, merged, reporting
 from sal_height.io import new_folder, or_null, writing
 from sal_height.numeric import C128, F64, Bool
+from sal_height.picture import page
 from sal_height.runs.chain.chain_runs import COMPRESSION, TAKEN, plan, run_of
 from sal_height.runs.chain.entry import Part, contents
 from sal_height.runs.chain.recording import perform_by_calls

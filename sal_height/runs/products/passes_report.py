@@ -11,9 +11,9 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from sal_height.elevation import Validity
-from sal_height.graph.picture import HEIGHTS, colour_bar, page
 from sal_height.numeric import F64, error_statistics
 from sal_height.passes import PassHeights, PassSettings, ReferencePoint
+from sal_height.picture import HEIGHTS, colour_bar, page
 from sal_height.tables import ABSENT, aligned
 
 FREE_GAUGE = (

@@ -16,11 +16,11 @@ from sal_height.bag.reader import BagReader
 from sal_height.elevation import ESTIMATORS, PROFILES, Validity
 from sal_height.errors import UserError
 from sal_height.geometry import aperture_at, height_of, locate_at_elevation, sphere_coordinates
-from sal_height.graph.picture import page
 from sal_height.graph.reporting import PRESET
 from sal_height.imaging import Slc
 from sal_height.io import writing
 from sal_height.numeric import F64
+from sal_height.picture import page
 from sal_height.pipeline import elevations
 from sal_height.relief import height_field
 from sal_height.runs.chain.recorded_images import recorded_slc
@@ -133,24 +133,42 @@ def _dwells(bag: Path, jobs: int) -> Iterator[tuple[Slc, Sensor]]:
 def _draw(cuts: Sequence[TomogramCut], scene: Scene | None, path: Path) -> None:
     """Write a PNG with one panel for each estimator of a profile."""
     shown_db = 25.0  # range of the colours below the greatest value of each cut, dB
+    sides = _sides_of(cuts)
     with page(path, 2.1 * len(PROFILES)) as figure:
         for axis, title in zip(figure.subplots(len(PROFILES), 1, sharex=True, sharey=True), PROFILES, strict=True):
             most = max(np.nanmax(cut.profiles[title]) for cut in cuts)
-            for cut in cuts:
+            for cut, ends in zip(cuts, sides, strict=True):
                 with np.errstate(divide="ignore"):
                     shade = np.maximum(10 * np.log10(cut.profiles[title] / most), -shown_db)
                 # Each column is drawn at both of its sides, so that it is as wide as its pixel.
-                sides = np.ravel(cut.along[:, None] + cut.width * np.array([-0.5, 0.5]))
                 heights, shade = np.repeat(cut.heights, 2, axis=0), np.repeat(shade, 2, axis=0)
-                across = np.broadcast_to(sides[:, None], heights.shape)
+                across = np.broadcast_to(ends.ravel()[:, None], heights.shape)
                 shown = axis.pcolormesh(across, heights, shade, vmin=-shown_db, vmax=0, cmap="magma", shading="gouraud")
                 axis.errorbar(cut.along, cut.ground, 2 * cut.sigma, fmt=".", color="cyan", ms=3, lw=1.0)
             if scene:
                 _draw_truth(axis, cuts, scene)
             axis.set(title=title, ylabel="height (m)")
-            figure.colorbar(shown, ax=axis, label="dB below the greatest")
+            figure.colorbar(shown, ax=axis, label="dB relative to maximum")
         axis.set_xlabel("distance along the flight (m)")
-        figure.suptitle("Reflectivity over height. Cyan: estimated ground, 2 sigma. White: true ground and canopy top.")
+        lines = ["Reflectivity over height."]
+        lines += ["Cyan: estimated ground, 2 sigma."] if any(np.isfinite(cut.ground).any() for cut in cuts) else []
+        lines += ["White: true ground and canopy top."] if scene else []
+        figure.suptitle(" ".join(lines))
+
+
+def _sides_of(cuts: Sequence[TomogramCut]) -> list[F64]:
+    """Distances along the flight of both sides of the columns of each cut, m, shape (cols, 2).
+
+    Columns next to each other, also of different dwells, meet in the middle between them.
+    """
+    along = np.concatenate([cut.along for cut in cuts])
+    width = np.concatenate([np.full(len(cut.along), cut.width) for cut in cuts])
+    order = np.argsort(along)
+    sides = along[order, None] + width[order, None] * np.array([-0.5, 0.5])
+    meet = np.flatnonzero(np.diff(along[order]) < 1.5 * width[order][1:])
+    sides[meet, 1] = sides[meet + 1, 0] = (along[order][meet] + along[order][meet + 1]) / 2
+    sides[order] = sides.copy()
+    return np.split(sides, np.cumsum([len(cut.along) for cut in cuts])[:-1])
 
 
 def _draw_truth(axis: Axes, cuts: Sequence[TomogramCut], scene: Scene) -> None:

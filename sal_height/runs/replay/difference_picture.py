@@ -12,9 +12,9 @@ from matplotlib.colors import ListedColormap, Normalize
 from sal_height.bag.compare import TopicComparison
 from sal_height.bag.reader import BagReader
 from sal_height.bag.topics import HEIGHT_TYPE
-from sal_height.graph.picture import ERRORS, FAULT, HEIGHTS, colour_bar, page
 from sal_height.messages import to_ns
 from sal_height.numeric import F64
+from sal_height.picture import ERRORS, FAULT, HEIGHTS, colour_bar, page
 
 
 def worst_height_image(compared: Mapping[str, TopicComparison], golden: BagReader) -> tuple[str, int] | None:

@@ -17,7 +17,7 @@ from sal_height.runs.responses.images import images_of
 from sal_height.runs.responses.pictures import DrawnTarget, draw_responses
 from sal_height.tables import aligned, number_text
 
-MOST_DRAWN = 8
+MOST_DRAWN = 4
 """Greatest number of targets in the picture: the first ones. More would make it unreadable."""
 
 CUT = ("width_px", "width_m", "pslr_db", "islr_db")

@@ -14,8 +14,8 @@ from matplotlib.axes import Axes
 from matplotlib.transforms import Affine2D
 
 from sal_height.geometry import Grid
-from sal_height.graph.picture import COLUMN_WIDTH, POWERS, colour_bar, page
 from sal_height.numeric import C64, F64, frequencies
+from sal_height.picture import COLUMN_WIDTH, POWERS, colour_bar, page
 from sal_height.response import (
     FINENESS,
     OVERSAMPLING,
@@ -251,7 +251,7 @@ def _draw_modulus(axes: Axes, letter: str, axis: AxisTransfer, singles: Sequence
     frequency, amplitude, error = frequencies(len(axis.response)), np.abs(axis.response), axis.sigma / np.sqrt(2)
     axes.plot(frequency, amplitude, color=TARGETS)
     axes.fill_between(frequency, np.maximum(0, amplitude - error), amplitude + error, alpha=0.3, color=TARGETS, lw=0)
-    axes.set(title=f"|{letter}| of targets", ylim=(0, None))
+    axes.set(title=f"|{letter}| of targets", ylabel="modulus", ylim=(0, None))
     _finish_response(axes, letter)
 
 
@@ -282,7 +282,8 @@ def _draw_speckle(axes: Axes, letter: str, spectrum: AxisSpectrum, transfer: Axi
     if transfer:
         scale = np.sqrt(np.mean(np.abs(transfer.response) ** 2))
         axes.plot(frequencies(count), np.abs(transfer.response) / scale, color=TARGETS, lw=0.8, label="targets")
-    axes.set(title=f"|{letter}| of speckle, and of targets" if transfer else f"|{letter}| of speckle", ylim=(0, None))
+    title = f"|{letter}| of speckle, and of targets" if transfer else f"|{letter}| of speckle"
+    axes.set(title=title, ylabel="modulus over its rms", ylim=(0, None))
     axes.legend()
     _finish_response(axes, letter)
 

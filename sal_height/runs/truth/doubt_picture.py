@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 from matplotlib.colors import Normalize
 
-from sal_height.graph.picture import FAULT, SIGMAS, colour_bar, page, title_of
 from sal_height.messages.types import HeightImage
 from sal_height.numeric import F64, Bool
+from sal_height.picture import FAULT, SIGMAS, colour_bar, page, title_of
 
 MOST_DECADES = 12.0
 """Greatest -log10 of a probability that is distinguished."""

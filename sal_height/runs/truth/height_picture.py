@@ -19,7 +19,9 @@ from scipy.spatial import cKDTree
 
 from sal_height import messages
 from sal_height.engine.tracker import PREFIX
-from sal_height.graph.picture import (
+from sal_height.messages.types import HeightImage
+from sal_height.numeric import F64, half_width, mean_of
+from sal_height.picture import (
     ERRORS,
     FAULT,
     HEIGHTS,
@@ -27,13 +29,12 @@ from sal_height.graph.picture import (
     POWERS,
     SIGMAS,
     colour_bar,
+    letter_panels,
     log_norm,
     page,
     shaded,
     title_of,
 )
-from sal_height.messages.types import HeightImage
-from sal_height.numeric import F64, half_width, mean_of
 from sal_height.runs.truth.comparison import FOUND_ORDERS, TRUE_ORDERS
 from sal_height.runs.truth.surface_report import CELL_PIXELS, Judged
 from sal_height.simulation import Preset
@@ -112,14 +113,14 @@ def draw_heights(judgements: Mapping[str, Judged], images: Sequence[HeightImage]
     own = [name for name in pictures if name != PREFIX]
     scales = _scales(judgements, pictures)
     first = next(iter(pictures.values()))
-    tall = float(np.clip(1.45 * np.ptp(first.extent[2:]) / np.ptp(first.extent[:2]), 1.1, 2.2)) + 0.3
+    tall = float(np.clip(1.45 * np.ptp(first.extent[2:]) / np.ptp(first.extent[:2]), 1.0, 2.2)) + 0.3
     with page(path, 1.25 + tall * (1 + len(own))) as figure:
         axes = figure.subplots(1 + len(own), 4, squeeze=False)  # height, surfaces in a pixel, error and sigma
         terrain = _draw_truth(axes[0, 0], first, scales)
         powers = draw_powers(axes[0, 1], images, scales.factor)
         for row, name in enumerate(own, start=1):
             _draw_found(axes[row, 0], name, pictures[name], judgements[name], scales)
-            _draw_confusion(axes[row, 1], judgements[name].comparison.confusion, row == len(own))
+            _draw_confusion(axes[row, 1], judgements[name].comparison.confusion, named=row == len(own))
         for axis, name in zip(axes[:, 2:], [PREFIX, *own], strict=True):
             if name in pictures:
                 _draw_error(axis[0], name, pictures[name], judgements[name], scales)
@@ -138,6 +139,7 @@ def draw_heights(judgements: Mapping[str, Judged], images: Sequence[HeightImage]
         colour_bar(powers[0], axes[:, 1], "CNR (dB)", powers[1], **where)
         colour_bar(mpl.cm.ScalarMappable(scales.error, ERRORS), axes[:, 2], "error (m)", scales.errors, **where)
         colour_bar(mpl.cm.ScalarMappable(scales.sigma, SIGMAS), axes[:, 3], "sigma (m)", scales.sigmas, **where)
+        letter_panels(axis for axis in axes.flat if axis.axison)
         _explain(figure)
         figure.suptitle(_title(preset))
 
@@ -317,7 +319,10 @@ def _draw_confusion(axis: Axes, table: npt.NDArray[np.int64], named: bool) -> No
     axis.set_xticks(range(len(FOUND_ORDERS)), FOUND_ORDERS if named else [], rotation=90)
     names = [f"{name}\n({count})" for name, count in zip(TRUE_ORDERS, totals.ravel(), strict=True)]
     axis.set_yticks(range(len(TRUE_ORDERS)), names, linespacing=0.9)
-    axis.set_title("pixels by true surfaces:\n% by surfaces found")
+    axis.set_xlim(-1.3, len(FOUND_ORDERS) - 0.5)  # room for the letter of the panel
+    axis.set(title="surfaces of a pixel: % of\nthose with a true number", ylabel="true")
+    if named:
+        axis.set_xlabel("found")
 
 
 def percent_text(share: float) -> str:

@@ -12,22 +12,23 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import BoundaryNorm, ListedColormap, Normalize
 from matplotlib.patches import Patch
-from scipy.spatial import cKDTree
 from scipy.special import ndtr
 
-from sal_height.graph.picture import (
+from sal_height.graph.cloud_picture import CloudView, coloured, draw_view, point_image, point_size
+from sal_height.numeric import F64, I64, Bool
+from sal_height.picture import (
     ERRORS,
     HEIGHTS,
     SIGMAS,
     WIDTH,
     colour_bar,
+    letter_panels,
     log_norm,
     look_of,
     page,
     shaded,
     title_of,
 )
-from sal_height.numeric import F64, I64, Bool
 from sal_height.relief import GroundEstimate, GroundKind
 from sal_height.runs.truth.comparison import PublishedErrors
 from sal_height.runs.truth.height_picture import error_limit, height_limits
@@ -35,10 +36,8 @@ from sal_height.runs.truth.report import TrueGround
 from sal_height.runs.truth.surface_report import Judged
 from sal_height.simulation import Preset
 
-AZIMUTH, TILT = np.radians(35.0), np.radians(38.0)
-"""Direction from which the cloud is seen: clockwise from the sensor's side, and above the horizon, rad."""
-VIEW_WIDTH = 0.48 * WIDTH
-"""Width of each of the two views, inches."""
+NOTHING = "0.7"
+"""Grey of cells without a value."""
 
 KIND_COLOURS = ("#1b7837", "#f0a830", "0.25", "0.9")
 """Colours of the kinds in the order of their values."""
@@ -54,42 +53,23 @@ def cloud_of(judgements: Mapping[str, Judged]) -> tuple[str, PublishedErrors]:
 
 
 def draw_cloud(estimator: str, surfaces: PublishedErrors, preset: Preset, path: Path) -> None:
-    """Write a PNG: every published surface as a point, coloured by height on the left and by sigma on the right."""
+    """Write a PNG: every published surface as a point, in the colours of its height and in those of its sigma."""
     side = {"right": 1.0, "left": -1.0}[preset.sensor.look_side]
-    across, up, depth = projected(surfaces.place, side)
-    order = np.argsort(-depth)  # the farthest first, so that nearer points hide them
-    ratio = np.ptp(up) / np.ptp(across)
-    # Points so large that those of a closed surface touch: their distance on the page.
-    apart, _ = cKDTree(surfaces.place[:, :2]).query(surfaces.place[:, :2], k=5)
-    size = (72 * VIEW_WIDTH / (1.1 * np.ptp(across)) * float(np.median(apart[:, -1]))) ** 2
-    height = surfaces.place[:, 2]
+    angle = preset.flight.look_angle_rad
+    view = CloudView.of_points(surfaces.place, np.array([0.0, -side * np.sin(angle), -np.cos(angle)]))
+    height, size = surfaces.place[:, 2], point_size(view, surfaces.place)
     scales = (
         (height, Normalize(*np.percentile(height, [0.5, 99.5])), HEIGHTS, "height above the reference sphere (m)"),
         (surfaces.sigma, log_norm(surfaces.sigma), SIGMAS, "sigma (m)"),
     )
-    with page(path, 0.9 + VIEW_WIDTH * ratio) as figure:
-        for axis, (values, norm, colours, label) in zip(figure.subplots(1, 2), scales, strict=True):
-            shown = values[order]
-            drawn = axis.scatter(across[order], up[order], c=shown, cmap=colours, norm=norm, s=size, linewidths=0)
-            axis.set(aspect="equal", facecolor="0.75", xticks=[], yticks=[])
-            colour_bar(drawn, axis, label, values, orientation="horizontal", aspect=40, pad=0.02)
-        figure.suptitle(
-            f"{preset.name}, {title_of(estimator)}: all {len(order)} surfaces of all pixels, seen from the side of the "
-            f"sensor, {np.degrees(TILT):.0f}° above the horizon"
-        )
-
-
-def projected(place: F64, side: float) -> tuple[F64, F64, F64]:
-    """Parallel projection of positions (east, north, height): to the right, upwards, and away from the viewer, all m.
-
-    Args:
-        place: positions, m, shape (points, 3).
-        side: look side on a flight eastwards: +1 right, with the sensor in the north; -1 left, in the south.
-    """
-    east, north, height = place.T * np.array([[side], [side], [1.0]])
-    right = -np.cos(AZIMUTH) * east + np.sin(AZIMUTH) * north
-    towards = np.sin(AZIMUTH) * east + np.cos(AZIMUTH) * north
-    return right, np.cos(TILT) * height - np.sin(TILT) * towards, -np.cos(TILT) * towards - np.sin(TILT) * height
+    ratio = view.shape[0] / view.shape[1]
+    panels = (2, 1) if ratio < 0.55 else (1, 2)
+    with page(path, 0.4 + WIDTH * panels[0] / panels[1] * 0.85 * ratio) as figure:
+        for axes, (values, norm, colours, label) in zip(figure.subplots(*panels).flat, scales, strict=True):
+            draw_view(axes, view, point_image(view, surfaces.place, coloured(values, norm, colours), size))
+            colour_bar(ScalarMappable(norm, colours), axes, label, values, shrink=0.7, aspect=25, pad=0.01)
+        letter_panels(figure.axes[:2])
+        figure.suptitle(f"{preset.name}, {title_of(estimator)}: {len(height)} surfaces, seen from the sensor's side")
 
 
 def draw_ground(estimate: GroundEstimate, truth: TrueGround, path: Path) -> None:
@@ -121,7 +101,7 @@ def draw_ground(estimate: GroundEstimate, truth: TrueGround, path: Path) -> None
             ("truth: lit terrain", "estimate", "error where lit", "what heights rest on", "fraction of cells", "sigma"),
             strict=True,
         ):
-            axis.set(title=title, facecolor="0.7" if axis.images else "w")
+            axis.set(title=title, facecolor=NOTHING if axis.images else "w")
         for axis in (axes[0, 0], axes[1, 0]):
             axis.set_ylabel(f"north ({unit})")
         for axis in (*axes[0], axes[1, 0], axes[1, 2]):
@@ -134,7 +114,9 @@ def draw_ground(estimate: GroundEstimate, truth: TrueGround, path: Path) -> None
             Patch(facecolor=colour, edgecolor="0.5", label=kind.name.lower())
             for kind, colour in zip(GroundKind, KIND_COLOURS, strict=True)
         ]
-        figure.legend(handles=patches, loc="outside lower center", ncols=4, frameon=False)
+        patches.append(Patch(facecolor=NOTHING, edgecolor="0.5", label="a, c: no lit terrain; b, c, f: no height"))
+        letter_panels(axes.flat)
+        figure.legend(handles=patches, loc="outside lower center", ncols=5, frameon=False)
 
 
 def kind_shares(estimate: GroundEstimate, cells: Bool) -> F64:
@@ -199,8 +181,9 @@ def draw_errors(judgements: Mapping[str, Judged], path: Path) -> None:
         middle, tails = figure.subplots(1, 2)
         for axes in (middle, tails):
             _draw_densities(axes, counts)
-        middle.set(title="middle", xlim=(-4, 4), ylim=(0, None), ylabel="share of surfaces per sigma")
+        middle.set(title="middle", xlim=(-4, 4), ylim=(0, None), ylabel="probability density")
         tails.set(title="tails (bins at the edges: all beyond)", yscale="log", xlim=(EDGES[0], EDGES[-1]))
+        letter_panels((middle, tails))
         least = min(1 / one.total for one in counts.values())
         tails.set_ylim(least / np.diff(EDGES)[0] / 2, 1.0)
         figure.legend(*middle.get_legend_handles_labels(), loc="outside lower left", frameon=False)

@@ -11,9 +11,9 @@ from matplotlib.axes import Axes
 
 from sal_height import messages
 from sal_height.engine.tracker import PREFIX
-from sal_height.graph.picture import FAULT, look_of, page
 from sal_height.messages.types import HeightImage
 from sal_height.numeric import F64, I64
+from sal_height.picture import FAULT, letter_panels, look_of, page
 from sal_height.relief import HeightField
 from sal_height.runs.truth.surface_report import judged
 from sal_height.simulation import Scene, SimulatedFlight
@@ -49,8 +49,10 @@ def draw_profile(images: Mapping[str, Sequence[HeightImage]], source: str, fligh
         residuals.margins(x=0.01)
         residuals.set_xlabel("distance on the ground, from near to far (m)")
         figure.suptitle(f"heights along range in the column with the greatest relief: dwell {dwell}, column {col}")
-        handles, labels = heights.get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False)
+        letter_panels((heights, residuals))
+        drawn = [axes.get_legend_handles_labels() for axes in (heights, residuals)]
+        handles, labels = (upper + lower for upper, lower in zip(*drawn, strict=True))
+        figure.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False)
     return True
 
 
@@ -121,7 +123,10 @@ def _draw_heights(axes: Axes, profiles: Mapping[str, _Profile], source: str, sce
     cut = np.linspace(0.0, max(one.max() for one in way.values()), 2000)
     across = measured.place[0] - (measured.place[0] @ measured.sight) * measured.sight
     ground = across[:, None] + measured.sight[:, None] * (start + cut)
-    axes.plot(cut, scene.heights(*ground), color="k", label="terrain")
+    terrain = scene.heights(*ground)
+    axes.plot(cut, terrain, color="k", label="terrain")
+    if scene.canopy:
+        axes.plot(cut, terrain + scene.canopy_tops(*ground), color="k", ls="--", label="top of the canopy")
     _draw_band(axes, tracked, way[PREFIX])
     look = look_of(source)
     for number in range(int(measured.number.max()) + 1):
@@ -164,14 +169,15 @@ def _draw_residuals(axes: Axes, profiles: Mapping[str, _Profile], start: float) 
     """Draw errors over sigma; triangles at the edges stand for those beyond the panel."""
     axes.axhspan(-2, 2, color="0.93", lw=0)
     axes.axhspan(-1, 1, color="0.85", lw=0)
-    for name, one in profiles.items():
-        look, way, off = look_of(name), one.place @ one.sight - start, one.error / one.sigma
-        for chosen, marker in (
-            (np.abs(off) <= MOST_SIGMAS, look.marker),
-            (off > MOST_SIGMAS, "^"),
-            (off < -MOST_SIGMAS, "v"),
-        ):
-            shown = np.clip(off[chosen], -0.93 * MOST_SIGMAS, 0.93 * MOST_SIGMAS)
-            axes.plot(way[chosen], shown if marker in "^v" else off[chosen], marker, color=look.colour, ms=2.5, mew=0)
+    label = f"error beyond {MOST_SIGMAS:g} sigma"
+    for (name, one), marker in zip(profiles.items(), ("o", "s"), strict=True):
+        colour, way, off = look_of(name).colour, one.place @ one.sight - start, one.error / one.sigma
+        within = np.abs(off) <= MOST_SIGMAS
+        axes.plot(way[within], off[within], marker, color=colour, ms=2.5, mew=0, label=f"error of {name}")
+        for beyond, shape in ((off > MOST_SIGMAS, "^"), (off < -MOST_SIGMAS, "v")):
+            if beyond.any():
+                edge = np.sign(off[beyond]) * 0.93 * MOST_SIGMAS
+                axes.plot(way[beyond], edge, shape, color=colour, ms=4, mew=0.4, mec="k", label=label)
+                label = "_"  # which legends leave out
     axes.set(ylabel="error / sigma", ylim=(-MOST_SIGMAS, MOST_SIGMAS), yticks=range(-4, 5, 2))
     axes.grid()

@@ -103,7 +103,7 @@ def test_titles_of_the_heights_are_not_cut_off(
             shown.extend(title.get_text() for title in titles)
             cut.extend(title.get_text() for title in titles if title.get_text() and title.get_window_extent().x0 < 0)
 
-    monkeypatch.setattr("sal_height.graph.picture.FigureCanvasAgg", Canvas)
+    monkeypatch.setattr("sal_height.picture.FigureCanvasAgg", Canvas)
     judgements = read_accuracy(recorded / "bag", flight_of(two_dwells, SEED), ["ml_height"]).heights
     draw_heights(judgements, read_images(recorded / "bag")["ml"], two_dwells, tmp_path / "height.png")
     assert any("of lit ground" in title for title in shown)

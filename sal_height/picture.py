@@ -1,15 +1,17 @@
-"""Style of the pictures of runs: their width, fonts, colour maps, and the colour and line of each estimator."""
+"""Style of all pictures: their width, fonts, colour maps, and the colour and line of each estimator."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from string import ascii_lowercase
 from typing import Any, NamedTuple
 
 import matplotlib as mpl
 import numpy as np
 from cycler import cycler
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
 from matplotlib.colorbar import Colorbar
@@ -107,6 +109,24 @@ def page(path: Path, tall: float, wide: float = WIDTH) -> Iterator[Figure]:
     if (pixels == pixels[..., :1]).all():
         image = image.convert("L")
     image.save(path, "PNG")
+
+
+@contextmanager
+def film_page(ratio: float, panels: int) -> Iterator[tuple[Figure, list[Axes]]]:
+    """A figure for the frames of a film, in the letters of pictures: panels of this height over width, drawn by Agg."""
+    with mpl.rc_context(STYLE):
+        wide, dots_per_inch = 6.0, 150  # 900 pixels, as wide as a page of documentation
+        figure = Figure(figsize=(wide, panels * (0.92 * wide * ratio + 0.15)), dpi=dots_per_inch, layout="constrained")
+        FigureCanvasAgg(figure)
+        yield figure, list(figure.subplots(panels, 1, squeeze=False)[:, 0])
+
+
+def letter_panels(panels: Iterable[Axes]) -> None:
+    """Write a, b, c, … into the upper left corners of panels, in their order, for captions to name them."""
+    paper: dict[str, Any] = {"boxstyle": "square,pad=0.15", "facecolor": "w", "edgecolor": "none", "alpha": 0.8}
+    for letter, axes in zip(ascii_lowercase, panels, strict=False):
+        where: dict[str, Any] = {"transform": axes.transAxes, "ha": "left", "va": "top", "zorder": 10}
+        axes.text(0.015, 0.97, letter, fontweight="bold", bbox=paper, **where)
 
 
 def beyond(values: F64, limits: tuple[float, float]) -> str:

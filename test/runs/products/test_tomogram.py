@@ -11,7 +11,7 @@ from helpers import assert_one_sentence
 from rewritten_bag import rewritten
 
 from sal_height.errors import UserError
-from sal_height.runs.products.tomogram import tomogram
+from sal_height.runs.products.tomogram import TomogramCut, _sides_of, tomogram
 
 LOOKS = (12, 12)
 
@@ -36,3 +36,14 @@ def test_bag_without_images_and_without_phase_history_is_refused(recorded: Path,
     with pytest.raises(UserError) as refusal:
         tomogram(bag, tmp_path / "out", LOOKS, None)
     assert_one_sentence(str(refusal.value), "no images of all channels", "no phase history")
+
+
+def test_columns_next_to_each_other_meet_and_far_ones_do_not() -> None:
+    """Three dwells of one column: the first two are 10.4 m apart, and the third is a gap away."""
+    nodes = np.zeros((1, 2, 3))
+    cuts = [
+        TomogramCut(np.array([along]), 10.0, nodes, {}, np.array([np.nan]), np.array([np.nan]))
+        for along in (10.4, 0.0, 50.0)
+    ]
+    sides = _sides_of(cuts)
+    np.testing.assert_allclose(np.concatenate(sides), [[5.2, 15.4], [-5.0, 5.2], [45.0, 55.0]])

@@ -91,7 +91,7 @@ class CloudView:
 
 def point_size(view: CloudView, place: F64) -> int:
     """Width in pixels at which the points of a closed surface touch."""
-    apart, _ = cKDTree(place[:, :2]).query(place[:, :2], k=min(5, len(place)))
+    apart, _ = cKDTree(place[:, :2]).query(place[:, :2], k=[min(5, len(place))])
     left, right, *_ = view.page
     return int(np.clip(np.ceil(np.median(apart[:, -1]) / (right - left) * COLUMNS), 1, 24))
 

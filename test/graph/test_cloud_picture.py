@@ -73,3 +73,10 @@ def test_ground_is_darkest_next_to_what_stands_before_it() -> None:
     assert np.percentile(inner, 5) > 0.8 * np.median(inner)
     behind = point_image(view, np.concatenate([ground, box]), np.ones((len(ground) + len(box), 3)), size)
     assert behind[behind[..., 3] > 0][:, 0].min() < 0.6 * np.median(inner)
+
+
+def test_a_single_point_is_drawn() -> None:
+    alone = np.array([[3.0, 4.0, 5.0]])
+    view = CloudView.of_points(alone, SOUTHWARDS)
+    picture = point_image(view, view.inside(alone), np.ones((1, 3)), point_size(view, alone))
+    assert np.count_nonzero(picture[..., 3]) == 1

@@ -89,7 +89,7 @@ setup(
     extras_require={
         "batch": ["dask", "distributed", "pyarrow"],
         "dem": ["rasterio"],
-        "docs": ["mermaidx", "mkdocs", "mkdocs-material"],
+        "docs": ["mermaidx", "mkdocs", "mkdocs-material", "mkdocstrings-python"],
         "formats": ["h5netcdf", "h5py", "laspy[lazrs]", "rasterio", "sarkit", "xarray", "zarr"],
         "notebooks": ["ipykernel", "jupytext", "nbconvert"],
         "ros": ["ros-jazzy-common-interfaces", "ros-jazzy-rclpy[fastrtps]"],

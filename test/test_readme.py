@@ -75,7 +75,8 @@ def test_readme_has_commands_to_check() -> None:
     "part", [Preset, SensorSettings, Flight, ImageSize, HybridSettings, MountingSettings, TargetSettings, Impairments]
 )
 def test_every_key_of_a_preset_is_described(part: type) -> None:
-    text = (ROOT / "docs" / "presets.md").read_text(encoding="utf-8")
+    pages = (ROOT / "docs" / name for name in ("presets.md", "presets_impairments.md"))
+    text = "".join(page.read_text(encoding="utf-8") for page in pages)
     assert [entry.name for entry in fields(part) if not re.search(rf"\b{entry.name}\b", text)] == []
 
 

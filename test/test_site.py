@@ -15,8 +15,10 @@ import pytest
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 TEXTS = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(DOCS.rglob("*.md"))]
+NOT_ON_A_PAGE = [DOCS / "logo.svg", *DOCS.glob("badges/*")]
+"""The logo is on every page of the site, and badges are in the README."""
 PICTURES = sorted(
-    path for path in DOCS.rglob("*") if path.suffix in {".png", ".svg", ".jpg", ".gif"} and path.parent.name != "badges"
+    path for path in DOCS.rglob("*") if path.suffix in {".png", ".svg", ".jpg", ".gif"} and path not in NOT_ON_A_PAGE
 )
 
 COMMAND = re.compile(r"`(?:make|sal-height|\S+/python|tools/\w+\.py) [^`]+`")
@@ -45,6 +47,32 @@ class Page(HTMLParser):
             self.loaded.append(values["href"])
         if tag == "a" and "href" in values:
             self.links.append(values["href"])
+
+
+def test_no_page_is_longer_than_a_sitting() -> None:
+    """Pages that are written by hand have 1,200 words at most; parameters.md is a table."""
+    lengths = {page.stem: len(page.read_text(encoding="utf-8").split()) for page in DOCS.glob("*.md")}
+    assert {name: words for name, words in lengths.items() if words > 1200 and name != "parameters"} == {}
+
+
+def test_every_package_with_a_face_has_a_page_of_the_python_reference() -> None:
+    pages = {path.stem for path in (DOCS / "python").glob("*.md")}
+    core = {path.parent.name for path in (ROOT / "sal_height").glob("*/__init__.py") if "__all__" in path.read_text()}
+    assert pages == core - {"bag", "commands", "messages", "numeric"}
+
+
+def test_executed_notebooks_are_a_gallery(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One without a picture is left out, and there is no section where none has been executed."""
+    pytest.importorskip("mermaidx", reason="the tools of the site are not installed: pip install '.[docs]'")
+    monkeypatch.syspath_prepend(ROOT / "tools")
+    import site_hooks
+
+    monkeypatch.setattr(site_hooks, "NOTEBOOKS", tmp_path)
+    assert site_hooks.gallery(site_hooks.executed_notebooks()) == ""
+    for name in ("one.html", "one.png", "other.html"):
+        (tmp_path / name).touch()
+    shown = site_hooks.gallery(site_hooks.executed_notebooks())
+    assert re.findall(r"\(([^)]+)\)", shown) == ["notebooks/one.png", "notebooks/one.html"]
 
 
 @pytest.fixture(scope="module")
@@ -87,7 +115,7 @@ def test_every_link_leads_to_a_page_and_an_anchor(pages: dict[Path, Page], site:
 
 
 def test_files_of_the_repository_are_pages(site: Path, pages: dict[Path, Page]) -> None:
-    assert "repository/msg_defs/msg/SensorInfo.msg.html" in pages[site / "live.html"].links
+    assert "repository/msg_defs/msg/SensorInfo.msg.html" in pages[site / "live_air.html"].links
     text = (site / "repository" / "msg_defs" / "msg" / "SensorInfo.msg.html").read_text(encoding="utf-8")
     assert "CONTRACT_VERSION" in text
     assert "../live.html" in pages[site / "repository" / "index.html"].links

@@ -1,13 +1,16 @@
 """Run the notebooks of examples/notebooks and write each with its results as .ipynb and .html into a folder.
 
-A notebook ends with SystemExit where it lacks data; its sentence is printed, and it is left out.
+The last picture of each is the .png beside it. A notebook ends with SystemExit where it lacks data; its sentence is
+printed, and it is left out.
 """
 
 from __future__ import annotations
 
 import argparse
 import sys
+from base64 import b64decode
 from pathlib import Path
+from typing import Any
 
 import jupytext
 from nbconvert import HTMLExporter
@@ -42,7 +45,16 @@ def make(source: Path, out: Path) -> str:
     jupytext.write(notebook, path)
     page, _ = HTMLExporter().from_notebook_node(notebook, {"metadata": {"name": source.stem}})
     path.with_suffix(".html").write_text(page, encoding="utf-8")
+    if picture := last_picture(notebook):
+        path.with_suffix(".png").write_bytes(picture)
     return f"{source.name}: {path} and .html"
+
+
+def last_picture(notebook: Any) -> bytes:
+    """The last picture of an executed notebook, as PNG; empty: it has none."""
+    outputs = [output for cell in notebook.cells for output in cell.get("outputs", ())]
+    pictures = [output["data"]["image/png"] for output in outputs if "image/png" in output.get("data", {})]
+    return b64decode(pictures[-1]) if pictures else b""
 
 
 def main() -> None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import os.path
 import posixpath
 import re
+from collections.abc import Sequence
 from importlib.resources import files as files_of_package
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,8 @@ from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files, InclusionLevel
 from mkdocs.structure.pages import Page
 from mkdocs.utils import get_relative_url
+
+import sal_height
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -37,10 +40,23 @@ MERMAID = "javascripts/mermaid.min.js"
 """The script that draws diagrams. Without it the theme takes it from another host."""
 
 
+NOTEBOOKS = ROOT / "out" / "notebooks"
+"""Executed notebooks, as `make notebooks` writes them: NAME.html, and NAME.png with the last picture."""
+
+
+def on_config(config: MkDocsConfig, **_: Any) -> MkDocsConfig:
+    """Show the version beside the name."""
+    config.site_name = f"{config.site_name} {sal_height.__version__}"
+    return config
+
+
 def on_files(files: Files, *, config: MkDocsConfig, **_: Any) -> Files:
     """Add what pages link to, what those pages link to in turn, and the script for diagrams."""
     script = files_of_package("mermaidx") / "assets" / "mermaid.js"
     files.append(File.generated(config, MERMAID, abs_src_path=str(script)))
+    for path in executed_notebooks():
+        for shown in (path, path.with_suffix(".png")):
+            files.append(File.generated(config, f"notebooks/{shown.name}", abs_src_path=str(shown)))
     waiting = [*(ROOT / name for name in ALWAYS), *(path for page in DOCS.rglob("*.md") for path in _linked(page))]
     shown: set[Path] = set()
     while waiting:
@@ -58,6 +74,8 @@ def on_files(files: Files, *, config: MkDocsConfig, **_: Any) -> Files:
 def on_page_markdown(markdown: str, *, page: Page, **_: Any) -> str:
     """Let links to files of the repository lead to their pages, and diagrams run down the narrow column of the site."""
     markdown = markdown.replace("```mermaid\nflowchart LR", "```mermaid\nflowchart TB")
+    if page.file.src_uri == "notebooks.md":
+        markdown += gallery(executed_notebooks())
     source = _source(page.file.src_uri)
     if not _has_links(source):
         return markdown
@@ -76,6 +94,17 @@ def on_page_content(html: str, *, page: Page, **_: Any) -> str:
     if 'class="mermaid"' not in html:
         return html
     return f'{html}\n<script src="{get_relative_url(MERMAID, page.url)}"></script>'
+
+
+def executed_notebooks() -> list[Path]:
+    """Pages of the notebooks that have been executed and have a picture."""
+    return [path for path in sorted(NOTEBOOKS.glob("*.html")) if path.with_suffix(".png").is_file()]
+
+
+def gallery(notebooks: Sequence[Path]) -> str:
+    """A section with a picture of each executed notebook that leads to its page; empty: none has been executed."""
+    entries = [f"[![{path.stem}](notebooks/{path.stem}.png)](notebooks/{path.name})" for path in notebooks]
+    return "\n\n## Executed\n\n" + "\n\n".join(entries) + "\n" if entries else ""
 
 
 def _linked(source: Path) -> list[Path]:

@@ -81,7 +81,7 @@ def run(
         looks: Pixels averaged in range x azimuth, for example 2x2. Default: the preset's.
         origin: Origin of the map on WGS 84, in degrees and m. Default: that of the scene's file, or the preset's.
         processes: Has no effect any more: the nodes of a run share a process.
-        jobs: Process N dwells side by side, without nodes: same heights, but no diagnostics, points and pictures.
+        jobs: Process N dwells side by side, without nodes: same heights, but no diagnostics.
         out: Output folder, new or empty. Default: out/PRESET, or the next free of out/PRESET_2, ….
     """
     from sal_height.graph.reporting import RELIEF_MAP, achieved, results_table

@@ -48,7 +48,8 @@ begin with a slash, and can be remapped. Types without a package are those of `s
 
 Quality of service is what a publisher offers and a subscription asks for; the number is the depth of its history.
 *Latched* is reliable with transient-local durability: who comes late receives the last messages. All others are
-volatile. [live.md](../live.md#quality-of-service) says what happens if publishers offer less, and how to set it."""
+volatile. [Quality of service](../live_host.md#quality-of-service) says what happens if publishers
+offer less, and how to set it."""
 
 ALL_NODES = """## Every node
 

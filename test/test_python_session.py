@@ -10,6 +10,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from tutorial_helpers import run_page
 
 import sal_height
 
@@ -56,11 +57,19 @@ def test_the_import_of_the_package_brings_nothing_slow() -> None:
     assert not {"numpy", "scipy", "numba", "pydantic", "rclpy"} & set(said.split())
 
 
-def test_the_example_of_the_docstring_makes_heights() -> None:
-    lines = [line[4:] for line in (sal_height.__doc__ or "").splitlines() if line.startswith("    ")]
-    names: dict[str, object] = {}
-    exec("\n".join(lines), names)  # noqa: S102 (our own text)
+def test_the_page_of_a_session_runs_and_has_the_example_of_the_docstring(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import matplotlib.pyplot as plt
+
+    monkeypatch.chdir(ROOT)
+    plt.switch_backend("agg")
+    names = run_page(ROOT / "docs" / "python_session.md", capsys)
+    plt.close("all")
     assert isinstance(names["field"], sal_height.HeightField)
+    example = [line[4:] for line in (sal_height.__doc__ or "").splitlines() if line.startswith("    ")]
+    page = (ROOT / "docs" / "python_session.md").read_text(encoding="utf-8").splitlines()
+    assert set(example) <= set(page)
 
 
 @pytest.mark.thorough

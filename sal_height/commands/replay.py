@@ -127,7 +127,7 @@ def replay(
         entry: Begin with the complex images (slc) or the heights in the bag. Heights go to tracker and mapper alone.
         namespace: Play the topics of this namespace. Needed only if several have what is played.
         rate: Speed of the playback over that of the sensor, with --clock paced. Default: 1.
-        jobs: Process N dwells side by side, without nodes: same heights, but no diagnostics, points and pictures.
+        jobs: Process N dwells side by side, without nodes: same heights, but no diagnostics.
         processes: Has no effect any more: nodes of a replay share a process. Use --jobs 2 for long bags.
         against: Bag with the heights to compare with. Default: those of BAG.
         out: Output folder, new or empty. Default: out/replay_BAG, or the next free of out/replay_BAG_2, ….

@@ -151,15 +151,17 @@ class Slc(ShortRepr):
         return xarray.DataArray(self.images, coordinates, ("channel", "row", "col"), "slc", attributes)
 
     def plot(self, channel: int = 0, axes: Any = None) -> Any:
-        """Draw the power of a channel over the pixels, in dB over the noise; returns the axes.
+        """Draw the power of a channel over the pixels, in dB over its noise if that is known; returns the axes.
 
         Args:
             channel: number of the channel.
             axes: axes of Matplotlib; None: those of a new figure.
         """
-        power = np.abs(self.images[channel]) ** 2 / (self.noise_power[channel] or 1.0)
+        noise = self.noise_power[channel]
+        unit, known = ("dB over its noise", noise) if noise > 0 else ("dB", 1.0)
+        power = np.abs(self.images[channel]) ** 2 / known
         level = 10 * np.log10(power, out=np.full(power.shape, np.nan), where=power > 0)
-        names = ("along-track distance (m)", "distance in range (m)", f"power of channel {channel} over its noise (dB)")
+        names = ("along-track distance (m)", "distance in range (m)", f"power of channel {channel} ({unit})")
         return draw_array(level, self.grid.extent, names, "gray", axes)
 
     @property

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -93,7 +94,7 @@ def test_without_xarray_one_sentence_says_what_to_install(make: object, monkeypa
 def test_pictures_have_axes_in_metres_and_a_bar_of_colours() -> None:
     import matplotlib.pyplot as plt
 
-    for drawn, unit in ((made_field(), "(m)"), (made_slc(), "(dB)"), (made_map(), "(m)")):
+    for drawn, unit in ((made_field(), "(m)"), (made_slc(), "(dB over its noise)"), (made_map(), "(m)")):
         axes = drawn.plot()
         assert "(m)" in axes.get_xlabel()
         assert "(m)" in axes.get_ylabel()
@@ -103,3 +104,6 @@ def test_pictures_have_axes_in_metres_and_a_bar_of_colours() -> None:
     _, given = plt.subplots()
     assert made_slc().plot(channel=1, axes=given) is given
     assert given.images[0].get_array().max() == pytest.approx(10 * np.log10(100 / 4))
+    unknown = replace(made_slc(), noise_power=np.zeros(2)).plot(channel=1)
+    assert unknown.images[0].get_array().max() == pytest.approx(20.0)
+    assert unknown.figure.axes[1].get_ylabel() == "power of channel 1 (dB)"

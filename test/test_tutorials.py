@@ -156,7 +156,6 @@ def test_your_own_sensor_becomes_a_bag_that_can_be_replayed(fresh_folder: Path) 
 
 
 @pytest.mark.thorough
-@pytest.mark.usefixtures("blank_pictures")
 @pytest.mark.parametrize("page", ["README.md", "docs/movers.md"])
 def test_the_commands_of_a_page_run_and_print_what_it_shows(page: str, capsys: pytest.CaptureFixture[str]) -> None:
     run_page(DOCS.parent / page, capsys)

@@ -34,6 +34,14 @@ def test_one_version() -> None:
     assert len(versions) == 1
 
 
+def test_the_changelog_is_one_page_on_the_release() -> None:
+    """Its first section is of the version of the packages; DEVELOPMENT_LOG.md has the details."""
+    lines = (ROOT / "CHANGELOG.md").read_text().splitlines()
+    first = next(line for line in lines if line.startswith("## "))
+    assert first.startswith(f"## {sal_height.__version__} (")
+    assert len(lines) <= 60
+
+
 BY_PIP = {
     "annotated-types",
     "cyclopts",

@@ -24,6 +24,7 @@ from sal_height.geometry import REORDERED_NS
 from sal_height.numeric import I64
 from sal_height.renamed import with_new_names
 from sal_height.sensor import Sensor
+from sal_height.tables import counted
 
 GAPLESS_NS = 50_000_000
 """Longest interval of odometry that nodes do not treat as a gap, ns (odometry_interval_s)."""
@@ -120,7 +121,8 @@ class SensorCheck:
             yield error(f"Bag {self._reader.path} has no messages on {name}.", RECORD_ALL)
         for (topic, reason), count in self._faulty.items():
             yield error(
-                f"Nodes refuse {count} messages on {topic} ({reason}), the first: {self._faults[topic, reason]}",
+                f"Nodes refuse {counted(count, 'message')} on {topic} ({reason}), the first: "
+                f"{self._faults[topic, reason]}",
                 "The program that publishes them must be put right.",
             )
         yield from self._check_air()

@@ -22,6 +22,7 @@ from sal_height.figures.sum_difference_radar import RELIEF_FIGURES
 from sal_height.io import new_folder, write_text, writing
 from sal_height.picture import COLOURS, letter_panels, page
 from sal_height.progress import Bar
+from sal_height.tables import counted
 
 COLUMNS = ("figure", "curve", "x", "value", "standard_error", "closed_form")
 
@@ -190,7 +191,7 @@ def summary(checks: Sequence[dict[str, Any]]) -> str:
     exact = [abs(check["value"] - check["closed_form"]) for check in existing if check["z"] is None]
     z = [abs(check["z"]) for check in checks if check["z"] is not None]
     failed = sum(not holds(check) for check in checks)
-    parts = [f"{len(checks)} points checked, {failed} off"]
+    parts = [f"{counted(len(checks), 'point')} checked, {failed} off"]
     if exact:
         parts.append(f"greatest difference of {len(exact)} exact ones {max(exact):.1e}")
     if z:

@@ -15,6 +15,7 @@ from sal_height.errors import Rejected, UserError
 from sal_height.geometry import Mounting
 from sal_height.graph.catalogue import NodeParameters
 from sal_height.nodes.accounts.account import Account
+from sal_height.tables import counted
 
 if TYPE_CHECKING:
     from sal_height.nodes.transport.domain import DomainChoice  # which needs locks of POSIX
@@ -170,7 +171,7 @@ class Outcome:
     def losses(self) -> list[str]:
         """Warnings, one for each node and reason for which it dropped messages, but for those `as_flown`."""
         return [
-            f"Node {name} dropped {count - self.as_flown.get((name, reason), 0)} messages ({reason})."
+            f"Node {name} dropped {counted(count - self.as_flown.get((name, reason), 0), 'message')} ({reason})."
             for name, account in self.stages.items()
             for reason, count in account.dropped.items()
             if count > self.as_flown.get((name, reason), 0)
@@ -180,6 +181,6 @@ class Outcome:
     def losses_as_flown(self) -> list[str]:
         """Sentences, one for each node and reason for which it left out messages as it had in flight."""
         return [
-            f"Node {name} left out {count} messages as in flight ({reason})."
+            f"Node {name} left out {counted(count, 'message')} as in flight ({reason})."
             for (name, reason), count in self.as_flown.items()
         ]

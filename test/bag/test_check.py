@@ -247,7 +247,7 @@ def test_bytes_that_are_no_frame_are_found(tmp_path: Path) -> None:
             tmp_path / "bag", frames_only(lambda frames: [frames[0]._replace(cdr=b"\0\1\0\0"), *frames[1:]])
         )
     )
-    assert "1 messages on /phase_history (cannot be decoded)" in first.sentence
+    assert "1 message on /phase_history (cannot be decoded)" in first.sentence
     assert "lacks channel 0" in second.sentence
 
 

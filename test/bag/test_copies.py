@@ -206,7 +206,7 @@ def test_a_range_without_dwells_is_refused(tmp_path: Path, capsys: pytest.Captur
     assert main(["bag", "cut", str(REFERENCE), "--from", "-1", *out]) == 2
     capsys.readouterr()
     assert main(["bag", "cut", str(REFERENCE), "--dwells", "1:1", "--to", "1795404229", *out]) == 0
-    assert "1 dwells of /phase_history" in capsys.readouterr().out
+    assert "1 dwell of /phase_history" in capsys.readouterr().out
 
 
 def test_a_bag_without_sensor_is_cut_by_time(tmp_path: Path) -> None:

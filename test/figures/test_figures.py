@@ -187,7 +187,7 @@ def test_what_should_exist_and_does_not_is_null_and_off() -> None:
     assert check["value"] is None
     assert check["z"] is None
     assert not holds(check)
-    assert summary([check]) == "1 points checked, 1 off"
+    assert summary([check]) == "1 point checked, 1 off"
 
 
 def test_a_point_without_theory_is_no_check() -> None:

@@ -36,6 +36,7 @@ from sal_height.runs.chain.recording import jobs_without_ros, perform_by_calls
 from sal_height.runs.chain.replay_parameters import ReplayPlan, processing_of
 from sal_height.runs.replay.judge import as_json, draw_worst_dwell
 from sal_height.runs.truth.report import read_accuracy, recorded_flight
+from sal_height.tables import counted
 from sal_height.topics import CALIBRATION, ODOMETRY, SENSOR_INFO
 
 KNOWN: Mapping[str, str] = {
@@ -280,7 +281,8 @@ class Replay:
         lacks = [] if made else ["No image was made."]
         for topic, result in self.compared.items():
             if result.missing or result.extra:
-                lacks.append(f"Topic {topic} misses {result.missing} images and has {result.extra} more than recorded.")
+                missing = counted(result.missing, "image")
+                lacks.append(f"Topic {topic} misses {missing} and has {result.extra} more than recorded.")
             elif not changed and result.verdict == CHANGED:
                 lacks.append(f"Topic {topic} differs from the golden one by more than the tolerance.")
         return [*self.outcome.losses, *lacks]

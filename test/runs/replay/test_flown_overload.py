@@ -97,4 +97,4 @@ def test_a_lost_dwell_with_heights_is_missed(recorded: Path, tmp_path: Path) -> 
     torn = copied(recorded / "bag", tmp_path / "torn", [one for one in messages if one is not first])
     said = replay(torn, tmp_path / "out", {}, jobs=1).shortfalls(changed=False)
     assert "Node sar_compression dropped 7 messages (incomplete dwell)." in said
-    assert "Topic /ml/height misses 1 images and has 0 more than recorded." in said
+    assert "Topic /ml/height misses 1 image and has 0 more than recorded." in said

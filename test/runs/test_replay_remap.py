@@ -57,6 +57,8 @@ def test_topics_of_the_nodes_get_other_names(playing: Playing, recorded: Path, t
     made = BagReader(tmp_path / "out" / "bag")
     counts = {name: topic.count for name, topic in made.topics.items() if name != "/diagnostics"}
     assert counts.pop("/platform/odometry") > 0
+    assert counts.pop("/tf") > 0
+    views = {f"/{product}/{view}": 2 for product in ("ml", "monopulse", "tracked") for view in ("image", "points")}
     assert counts == {
         "/sensor_info": 1,
         "/radar/phase_history": 16,
@@ -64,6 +66,8 @@ def test_topics_of_the_nodes_get_other_names(playing: Playing, recorded: Path, t
         "/north/ml": 2,
         "/ml/height": 2,
         "/losses": 0,
+        "/tf_static": 1,
+        **views,
     }
     (tracked, *_) = made.messages(["/ml/height"])
     assert made.decode(tracked.type_name, tracked.cdr).estimator == "tracked"

@@ -120,7 +120,8 @@ def test_a_rule_is_for_the_bag_if_that_can_be_played(recorded: Path) -> None:
 def test_a_topic_takes_the_place_of_the_one_that_is_called_so(recorded: Path) -> None:
     reader = NamespacedReader(recorded / "bag", "", {"/ml/height": "/monopulse/height", "/none": "/tracked/height"})
     others = {"/sensor_info", "/platform/odometry", "/phase_history", "/diagnostics", "/losses"}
-    assert reader.topics.keys() == {*others, *READ}
+    views = {name for name in reader.topics if name.endswith(("/image", "/points")) or name.startswith("/tf")}
+    assert reader.topics.keys() - views == {*others, *READ}
     (first, *_) = reader.messages(["/monopulse/height"])
     assert reader.decode(first.type_name, first.cdr).estimator == "ml"
 

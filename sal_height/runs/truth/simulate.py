@@ -104,6 +104,7 @@ def fly(
         UserError: a parameter is not allowed, the flight leaves its scene, or the run failed.
     """
     parameters = check_parameters(merged(preset.processing, parameters))
+    precompile()
     flight = flight_of(preset, seed)
     estimators = suited(flight.sensor, preset.estimators)
     air = list(AIR) if preset.impairments.air else []
@@ -126,7 +127,6 @@ def fly(
         published = [*SENSOR, *air, *([MAP_ORIGIN] if flight.scene.origin else [])]
         topics = recorded_topics(stages, values, published)
         plan = Plan("simulator", stages, topics, bag, nodes, preset.dwells, custom_data, published, simulated_time=True)
-        precompile()
         outcome = _perform(plan, execution, flight, jobs)
         conclude(outcome, values, report)
         report["relief_map"] = RELIEF_MAP if (folder / RELIEF_MAP).is_file() else None

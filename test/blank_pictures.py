@@ -4,26 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from sal_height.numeric import U8
 
 
-class BlankCanvas:
+class BlankCanvas(FigureCanvasAgg):
     """A canvas on which a figure is neither laid out nor drawn."""
-
-    def __init__(self, figure: Any) -> None:
-        self._size = figure.bbox.bounds[2:]
 
     def draw(self) -> None:
         """Draw nothing."""
 
     def buffer_rgba(self) -> U8:
         """White pixels."""
-        width, height = self._size
+        width, height = self.figure.bbox.bounds[2:]
         return np.full((int(height), int(width), 4), 255, np.uint8)
 
 

@@ -26,7 +26,9 @@ OF_POSIX = ("fcntl", "grp", "pty", "pwd", "resource", "termios", "tty")
 """Modules that Windows lacks; Python's own libraries do without."""
 
 WITHOUT = """
-import os, signal, socket, sys
+import contextlib, os, signal, socket, sys
+with contextlib.suppress(ImportError):
+    import psutil  # of the viewer, which takes on Linux what only POSIX has
 sys.modules.update(dict.fromkeys({modules!r}))  # as modules that are not installed
 for module, names in (
     (os, "fork forkpty killpg nice posix_fadvise register_at_fork sched_getaffinity sched_setscheduler setpriority"),

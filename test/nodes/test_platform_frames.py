@@ -22,6 +22,7 @@ from sal_height.nodes.transport.graph import Graph
 from sal_height.nodes.transport.message_types import subscribe
 from sal_height.nodes.transport.qos import INSTRUMENT_QOS, ODOMETRY_QOS, TF_STATIC_QOS
 from sal_height.simulation.flight import SimulatedFlight
+from sal_height.topics import ODOMETRY
 
 TIMEOUT_S = 120.0
 
@@ -47,7 +48,7 @@ def simulator(graph: Graph, **values: Any) -> Simulator:
 def test_the_platform_is_on_tf_as_odometry_states_it_and_the_sensor_on_tf_static(graph: Graph) -> None:
     viewer = Viewer(graph)
     source = simulator(graph)
-    assert graph.spin_until(lambda: source._tf._moving.subscribers and source._odometry.subscribers, TIMEOUT_S)
+    assert graph.spin_until(lambda: source._tf._moving.subscribers and source._outlets[ODOMETRY].subscribers, TIMEOUT_S)
     source.step()
     assert graph.spin_until(lambda: viewer.fixed and source.jobs == 0 and len(viewer.odometry) > 1, TIMEOUT_S)
     assert graph.spin_until(lambda: len(viewer.moving) == len(viewer.odometry), TIMEOUT_S)

@@ -26,7 +26,7 @@ def test_without_ros_they_say_what_to_install() -> None:
     names = ["ml_height", *MODULES]
     assert told.stdout.split() == ["2"] * len(names)
     assert [line.split()[1] for line in told.stderr.splitlines()] == [f"sal-height-{name}" for name in names]
-    said = "needs the Python module rclpy, which is not installed; install ROS 2 with"
+    said = "module rclpy is not installed; install both with: pip install '.[ros]' ./msg_defs"
     assert told.stderr.count(said) == len(names)
 
 

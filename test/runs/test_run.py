@@ -204,7 +204,8 @@ def test_foreign_readers_find_points_pictures_and_frames_in_the_bag(recorded: Pa
     ((fixed,),) = (message.transforms for message in found["/tf_static"])
     assert (fixed.header.frame_id, fixed.child_frame_id) == ("base_link", "sensor")
     for name in ("ml", "monopulse", "tracked"):
-        assert [(one.height, one.width) for one in found[f"/{name}/image"]] == [(46, 12)] * 2
+        grids = [one.grid for one in found[f"/{name}/height"]]
+        assert [(one.height, one.width) for one in found[f"/{name}/image"]] == [(one.rows, one.cols) for one in grids]
         frames = [one.header.stamp for one in transforms if one.child_frame_id == f"{name}_origin"]
         assert [one.header.stamp for one in found[f"/{name}/points"]] == frames
         assert {one.header.frame_id for one in found[f"/{name}/points"]} == {f"{name}_origin"}

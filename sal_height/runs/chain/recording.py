@@ -84,6 +84,7 @@ class _Counts:
 
     received: int = 0
     published: Counter[str] = field(default_factory=Counter)
+    views: Counter[str] = field(default_factory=Counter)
     dropped: Counter[str] = field(default_factory=Counter)
     ignored: Counter[str] = field(default_factory=Counter)
     events: Counter[str] = field(default_factory=Counter)
@@ -99,7 +100,7 @@ class _Counts:
             dropped=dict(self.dropped),
             ignored=dict(self.ignored),
             events=dict(self.events),
-            published_on=dict(self.published),
+            published_on=dict(self.published + self.views),
             last_drop=self.last_drop,
         )
 
@@ -172,7 +173,8 @@ class _Recording:
                 serialized = kind_of(self._ports[result.port]).write(result.item, settings)
                 self._write(result.port, serialized, self._time_of(made.dwell))
             if isinstance(result.item, Heights):
-                self._write_views(result.port.removesuffix("/height"), result.item, self._time_of(made.dwell))
+                views = self._write_views(result.port.removesuffix("/height"), result.item, self._time_of(made.dwell))
+                counts.views.update(views)
         elif isinstance(result, Loss):
             counts.dropped[result.reason] += result.messages
             counts.last_drop = result.sentence
@@ -214,14 +216,22 @@ class _Recording:
             frames = sensor_transform(deserialize(cdr, SensorInfo))
             self._write(TF_STATIC[1:], [SHIPPED.serialize(frames)], self._now_ns)
 
-    def _write_views(self, prefix: str, item: Heights, time_ns: int) -> None:
-        """Write the picture and the points of heights, as nodes publish them while somebody subscribes."""
+    def _write_views(self, prefix: str, item: Heights, time_ns: int) -> list[str]:
+        """Write the picture and the points of heights, as nodes publish them while somebody subscribes.
+
+        Returns:
+            The topics of the messages that nodes publish then.
+        """
+        written = list[str]()
         if f"{prefix}/image" in self._names:
             self._write(f"{prefix}/image", [SHIPPED.serialize(height_picture(item))], time_ns)
+            written.append(f"{prefix}/image")
         if f"{prefix}/points" in self._names:
             frame, points = height_points(item, origin_frame(prefix))
             self._write(TF[1:], [SHIPPED.serialize(TFMessage(transforms=[frame]))], time_ns)
             self._write(f"{prefix}/points", [SHIPPED.serialize(points)], time_ns)
+            written += [f"{prefix}/points", f"{prefix}/frame", TF[1:]]
+        return written
 
     def _write(self, port: str, serialized: Sequence[bytes], time_ns: int) -> None:
         if port in self._names:

@@ -195,7 +195,10 @@ def test_passes_that_do_not_overlap_are_said(tmp_path: Path, capsys: pytest.Capt
         ([BAG, "--terrain", "nowhere.tif"], "Elevation model nowhere.tif is not a readable"),
         ([BAG, "--terrain", "README.md"], "Elevation model README.md has the suffix '.md'"),
         ([BAG, "--targets", "nowhere.csv"], "Cannot read nowhere.csv with targets"),
-        ([BAG, "--estimator", "mll"], "Estimator 'mll' does not exist; allowed are monopulse, ml, "),
+        (
+            [BAG, "--estimator", "mll"],
+            "Estimator 'mll' does not exist (did you mean 'ml'?); allowed are monopulse, ml, ",
+        ),
         ([BAG, "--estimator", "movers"], "Estimator 'movers' does not exist; allowed are monopulse, ml, "),
         ([BAG, "--estimator", "adjusted"], "Estimator 'adjusted' does not exist; allowed are monopulse"),
         (["nowhere"], "nowhere"),

@@ -94,7 +94,8 @@ def test_runs_are_equal_byte_for_byte(two_dwells: Preset, tmp_path: Path) -> Non
     by_nodes, by_calls = (report_of(tmp_path / name) for name in ("a", "calls"))
     assert by_nodes == by_calls
     account = by_nodes["stages"]["ml_height"]
-    assert (account["in"], account["processed"], account["published"]) == (16, 16, {"ml/height": 2})
+    views = dict.fromkeys(("ml/height", "ml/image", "ml/points", "ml/frame", "tf"), 2)
+    assert (account["in"], account["processed"], account["out"], account["published"]) == (16, 16, 2, views)
 
 
 def report_of(folder: Path) -> dict[str, Any]:

@@ -63,11 +63,14 @@ class CalibrationChoice(NamedTuple):
     first_open: int = 0
 
     def with_received(self, calibration: Calibration, trial: int) -> CalibrationChoice:
-        """The choice after a calibration was received, which may have a trial of that number; the last one counts."""
+        """The choice after a calibration was received, which may have a trial of that number; the last one counts.
+
+        The one in use is tried again if another one was on trial, which may have been adopted by then.
+        """
         if self.on_trial and self.on_trial.id == calibration.id:
             return self
-        if self.in_use and self.in_use.id == calibration.id:
-            return CalibrationChoice(self.in_use)
+        if self.in_use and self.in_use.id == calibration.id and not self.on_trial:
+            return self
         return CalibrationChoice(
             self.in_use, calibration, trial, (self.first_open or self.trial) if self.on_trial else 0
         )

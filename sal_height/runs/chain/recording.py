@@ -80,7 +80,10 @@ def jobs_without_ros(asked: int | None) -> int | None:
 
 @dataclass
 class _Counts:
-    """Counts of a stage, or of the bag as the source of the dwells."""
+    """Counts of a stage, or of the bag as the source of the dwells.
+
+    Messages for viewers are counted by topic only, as nodes do: they are no products.
+    """
 
     received: int = 0
     published: Counter[str] = field(default_factory=Counter)

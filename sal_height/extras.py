@@ -24,7 +24,12 @@ def import_extra(module: str, doing: str, extra: str = "formats") -> Any:
         return import_module(module)
     except ImportError as error:
         package = module.partition(".")[0]
-        raise UserError(f"{doing} needs {package}; install it with: pip install 'sal_height[{extra}]'.") from error
+        raise UserError(f"{doing} needs {how_to_install(package, extra)}") from error
+
+
+def how_to_install(package: str, extra: str) -> str:
+    """End of a message that names a package which is not installed, and the extra that installs it."""
+    return f"{package}; install it with: pip install 'sal_height[{extra}]'."
 
 
 def is_of_ros(module: str) -> bool:

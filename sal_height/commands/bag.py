@@ -294,12 +294,12 @@ def merge(
 
     merged = merge_bags(bags, folder)
     for topic, count in merged.duplicates.items():
-        print(f"{count} messages of {topic} were in several bags and are kept once")
+        print(f"{counted(count, 'message')} of {topic} kept once, which several bags have")
     for topic, count in merged.latched.items():
-        print(f"{count} latched messages of {topic} repeated earlier ones and are left out")
+        print(f"{counted(count, 'latched message')} of {topic} left out: repeated for late subscribers")
     for name in merged.custom_data:
         print(f"custom data {name!r} differ; those of the earliest bag are kept")
-    print(f"{sum(merged.counts.values())} messages in {folder}")
+    print(f"{counted(sum(merged.counts.values()), 'message')} in {folder}")
     return DONE
 
 

@@ -29,6 +29,7 @@ from sal_height.commands._options import (
     node_parameters,
     output_folder,
 )
+from sal_height.extras import how_to_install
 from sal_height.tables import counted
 
 if TYPE_CHECKING:
@@ -113,7 +114,7 @@ def run(
     first, *others = [str(path) for path in left if path.exists()]
     print(f"{counted(outcome.dwells, 'dwell')}{interrupted}; look first at {first}, then at {', '.join(others)}")
     if not find_spec("rasterio"):
-        complain([f"{RELIEF_MAP} is left out: it needs rasterio; install it with: pip install 'sal_height[dem]'."])
+        complain([f"{RELIEF_MAP} is left out: it needs {how_to_install('rasterio', 'dem')}"])
     if outcome.interrupted:
         return INTERRUPTED
     complain(outcome.losses)

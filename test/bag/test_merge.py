@@ -116,8 +116,8 @@ def test_the_command_says_what_it_left_out(tmp_path: Path, capsys: pytest.Captur
     two = write(tmp_path / "two", [("/a", 9, 3), ("/a", 10, 9)], preset="large")
     assert main(["bag", "merge", str(one), str(two), "--out", str(tmp_path / "merged")]) == 0
     assert capsys.readouterr().out.splitlines() == [
-        "1 messages of /a were in several bags and are kept once",
-        "1 latched messages of /a repeated earlier ones and are left out",
+        "1 message of /a kept once, which several bags have",
+        "1 latched message of /a left out: repeated for late subscribers",
         "custom data 'preset' differ; those of the earliest bag are kept",
-        f"1 messages in {tmp_path / 'merged'}",
+        f"1 message in {tmp_path / 'merged'}",
     ]

@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 
 from sal_height.errors import UserError
-from sal_height.extras import how_to_install
 
 HDF5 = (".h5", ".hdf5")
 TIFF = (".tif", ".tiff")
@@ -88,7 +87,9 @@ def _read(path: Path, of_hdf5: Callable[[Any], Iterator[tuple[str, Any]]]) -> It
     except UserError:
         raise
     except ImportError as error:
-        raise UserError(f"Reading {path} needs {how_to_install(str(error.name), 'formats')}") from error
+        raise UserError(
+            f"Reading {path} needs {error.name}; install it with: pip install 'sal_height[formats]'."
+        ) from error
     except Exception as error:  # each library has its own for a damaged file
         if isinstance(error, OSError) and error.strerror:
             raise UserError(f"File {path} cannot be read: {error.strerror}.") from error
